@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from docutils import nodes
@@ -52,7 +52,7 @@ myst_links_external_new_tab = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-napoleon_custom_sections = [("Attributes", "params_style")]  # one list, like arguments
+napoleon_custom_sections = [("Attributes", "params_style"), ("Keys", "params_style")]  # one list, like arguments
 default_role = "code"  # in a docstring `name` is code, as in Markdown
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a docstring names, see closest()
 
@@ -62,7 +62,11 @@ _PICTURE = re.compile(
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
 _PLACE = re.compile(r'<a id="([^"]+)"></a>')
 _FIRST_FIND = DOCS / "start" / "tutorial.md"
-_SEARCHED = {"explanation/findings": "severity", "guide/roads": "intersection", "explanation/traffic": "aggressive"}
+_SEARCHED = {
+    "explanation/findings": "severity",
+    "guide/environments": "intersection",
+    "explanation/search": "aggressive",
+}
 """Words that readers search for, by the page that answers them."""
 _LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
@@ -112,10 +116,12 @@ def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, option
 
 
 def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Turn the pages that a docstring names into links, and stop napoleon from reading "word: text" as a type."""
+    """Turn the pages that a docstring names into links, list columns, and stop napoleon from reading types."""
     lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if what == "property":
         lines.insert(0, "")
+    if isinstance(thing, Mapping):
+        lines += ["", *(f"- ``{column}``: {text}" for column, text in thing.items())]
 
 
 def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Node | None:

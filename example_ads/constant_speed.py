@@ -1,4 +1,4 @@
-"""An intentionally flawed driver, which keeps its first speed and its lane whatever happens, and looks at nothing.
+"""An intentionally flawed driver, which keeps its initial speed and its lane whatever happens, and looks at nothing.
 
 Kind (a), for ``pafot.Highway``. It runs into any slower vehicle ahead, so five generations find it at fault with nearly
 every seed. It is the shortest possible ADS.

@@ -1,7 +1,6 @@
 """Search for traffic that makes a driving policy crash, as a pytest plugin.
 
-All public names can be imported from this package. The module of a name is loaded when the name is first used, so
-importing the package is fast (PEP 562).
+All public names can be imported from this package. Their modules are loaded when the names are first used (PEP 562).
 """
 
 from __future__ import annotations
@@ -81,8 +80,6 @@ if not TYPE_CHECKING:  # type checkers know every name
 
 
 def __dir__() -> list[str]:
-    """List all names for a person who types, and elsewhere those that are loaded.
-
-    Tools such as freezegun read every name that is listed, which would import half of the package into any session.
-    """
+    # All names only in an interactive session. Tools such as freezegun read every listed name, which would import half
+    # of the package into any session.
     return [*__all__, "__version__"] if hasattr(sys, "ps1") else list(globals())

@@ -1,7 +1,7 @@
-"""Commands that are run without ``pytest``, such as ``python -m pytest_pafot search``.
+"""Commands such as ``python -m pytest_pafot search``, without ``pytest``.
 
-Commands that a CI takes for a verdict drive policies in a child process. A policy may end its process with the exit
-code 0, which must not be the verdict. So the child leaves a receipt, and only if the command came to its end.
+If the exit code is a verdict on a policy, the command runs in a child process. A policy may end that process with the
+exit code 0, so the child leaves a receipt when the command is finished.
 """
 
 from __future__ import annotations
@@ -28,67 +28,66 @@ from pytest_pafot.support.process import ended_with, leave_receipt, taken_receip
 
 
 class Command(NamedTuple):
-    """A command of ``python -m pytest_pafot``: its module has ``add_arguments`` and ``run``."""
+    """A command of ``python -m pytest_pafot``, with a module that has ``add_arguments`` and ``run``."""
 
     module: str
     help: str
     about: str
-    is_gate: bool = False
-    """Whether its exit code is a verdict on a policy, so that it has to leave a receipt."""
+    is_gate: bool = False  # whether its exit code is a verdict on a policy, so that it has to leave a receipt
 
 
+# The module of a command is imported only if the command is run.
 COMMANDS = MappingProxyType({
     "search": Command(
         "pytest_pafot.commands.search_command",
         "search for traffic in which a policy crashes, without a test",
-        "Search for traffic in which a policy crashes. Findings are saved in pafot_found/, explained, and displayed "
-        "on a web page.",
+        "Search for traffic in which a policy crashes. Findings are explained, saved in pafot_found/, and shown on a "
+        "web page.",
         is_gate=True,
     ),
     "replay": Command(
         "pytest_pafot.commands.replay_command",
         "run a saved scenario, without a test",
-        "Run the scenario of a saved file, such as one that came by mail, for a policy. No code that it names is run.",
+        "Run the scenario of a saved file with a policy. Code that the file names is not run, so anyone may send it.",
         is_gate=True,
     ),
     "corpus": Command(
         "pytest_pafot.commands.corpus_command",
         "list saved scenarios, or accept their failures",
-        "List the saved scenarios of folders, or accept their failures up to a day, without running them.",
+        "List the saved scenarios in folders, or accept their failures until a given day. No scenario is run.",
     ),
     "compare": Command(
         "pytest_pafot.comparison.command",
         "compare search algorithms on a policy",
-        "Run several search algorithms on a policy, several times each, and write results, statistics, figures and a "
-        "report. It can be interrupted at any time; the same command continues where it stopped.",
+        "Run each of several search algorithms several times on a policy, and write results, statistics, figures and "
+        "a report. You can interrupt the command at any time. The same command then continues where it stopped.",
         is_gate=True,
     ),
     "rate": Command(
         "pytest_pafot.commands.rate_command",
-        "count how often a policy crashes by itself",
-        "Drive seeded episodes in the environment's own traffic, without a search, and count the crashes of one "
-        "policy, or of several on the same seeds.",
+        "count how often a policy crashes in ordinary traffic",
+        "Run seeded episodes in the environment's own traffic, without a search, and count the crashes of one policy, "
+        "or of several policies on the same seeds.",
         is_gate=True,
     ),
     "export": Command(
         "pytest_pafot.export.exporter",
-        "write the run of a finding as files for other tools",
-        "Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
+        "write the run of a finding to files for other tools",
+        "Run the scenario of a saved finding again, and write the road and the paths of all vehicles to files.",
     ),})  # fmt: skip
-"""The commands by name. The module of a command is imported only if the command is run."""
 
+# The commands with an exit code that is a verdict on a policy.
 GATES = tuple(name for name, command in COMMANDS.items() if command.is_gate)
-"""The commands whose exit code is a verdict on a policy."""
 
+# The signals that a command passes on to its child.
 ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that a command passes on to such a child."""
 
+# The environment variable of a child: the id of its parent, and the folder for its receipt.
 DRIVES = "PYTEST_PAFOT_DRIVES"
-"""The environment variable that tells a process that it is such a child, of whom, and where its receipt goes."""
 
 
 def main_in_child(arguments: list[str]) -> int:
-    """Run a command and return its exit code; one of :data:`GATES` in a child process, which has to leave a receipt."""
+    """Run a command, in a child process if it is one of :data:`GATES`, and return its exit code."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # it was closed, as `>&-` does
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
@@ -96,11 +95,11 @@ def main_in_child(arguments: list[str]) -> int:
         parent, _, folder = told.partition(":")
         from pytest_pafot.support.process import bound_to  # noqa: PLC0415
 
-        bound_to(int(parent), signal.SIGTERM)  # where that is not possible, it drives on when its parent is killed
+        bound_to(int(parent), signal.SIGTERM)  # on other systems, it continues if its parent is killed
         try:
             _hold_back(False)
             code = main(arguments)
-        except SystemExit as ended:  # after --help, or for wrong arguments; those of a policy are caught
+        except SystemExit as ended:  # after --help, or for wrong arguments; that of a policy is caught
             code = int(ended.code or 0)
         except KeyboardInterrupt:  # while modules are imported
             code = _interrupted(arguments)
@@ -117,14 +116,14 @@ def main_in_child(arguments: list[str]) -> int:
 
     def pass_on(number: int, _: object) -> None:
         received.append(number)
-        # Ctrl-C on a terminal reaches both processes, any other signal only this one. A second Ctrl-C may come twice.
+        # Ctrl-C in a terminal reaches both processes, any other signal only this one. A second Ctrl-C may arrive twice.
         reached = number == signal.SIGINT and received.count(number) == 1 and _has_terminal()
         if child is not None and not reached:
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # it may have ended
                 child.send_signal(number)
 
     for number in ENDS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup's are ignored in both
+        if signal.getsignal(number) is not signal.SIG_IGN:  # both processes ignore those of nohup
             signal.signal(number, pass_on)
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         # The same interpreter with the same options.
@@ -132,7 +131,7 @@ def main_in_child(arguments: list[str]) -> int:
         _hold_back(True)
         try:
             child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
-            for number in tuple(received):  # before the child was there
+            for number in tuple(received):  # before the child existed
                 child.send_signal(number)
         finally:
             _hold_back(False)
@@ -140,7 +139,7 @@ def main_in_child(arguments: list[str]) -> int:
         received_code = taken_receipt(folder, left)
     if received_code is not None:
         return received_code
-    if received:  # The child may be at a point at which Python itself ends it.
+    if received:  # Python itself may have ended the child
         sys.stderr.write(f"{arguments[0]}: interrupted\n")
         return 128 + received[0]
     sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
@@ -148,7 +147,7 @@ def main_in_child(arguments: list[str]) -> int:
 
 
 def _hold_back(is_held: bool) -> None:
-    """Let :data:`ENDS` wait, or come. A child inherits that: Python would print a traceback while it starts."""
+    # Block or release ENDS. A child inherits that, since Python would print a traceback while it starts.
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK, ENDS)
 
@@ -159,7 +158,7 @@ def _interrupted(arguments: list[str]) -> int:
 
 
 def _has_terminal() -> bool:
-    """Tell whether this process is in the foreground of a terminal, wherever its standard input comes from."""
+    # Whether this process is in the foreground of a terminal, regardless of its standard input.
     if os.name == "nt":
         return True
     with suppress(OSError), open(os.ctermid(), "rb", buffering=0) as terminal:  # noqa: PTH123  (a device, not a path)
@@ -168,9 +167,9 @@ def _has_terminal() -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command of some command-line arguments and return its exit code.
+    """Run a command in this process, and return its exit code.
 
-    The arguments do not include the program's name; by default they are those of this process.
+    ``arguments`` are by default those of this process, without the name of the program.
     """
     from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 
@@ -179,14 +178,14 @@ def main(arguments: list[str] | None = None) -> int:
         with interrupted_by_signals(_note):
             return _run(given)
     except KeyboardInterrupt as interrupt:
-        with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
+        with suppress(OSError, ValueError):  # the terminal may have been closed
             saved = "".join(f"; {note}" for note in getattr(interrupt, "__notes__", ()))
             sys.stderr.write(f"\n{' '.join(given[:1])}: interrupted{saved}\n")
         return interrupt.code if isinstance(interrupt, Ended) else 130
 
 
 def _note(interrupt: KeyboardInterrupt) -> None:
-    """Tell the guard of decisions that there is an interrupt, unless it is not imported yet, which takes a while."""
+    # Inform the guard of decisions about an interrupt, unless it is not imported yet, because that takes long.
     note = getattr(sys.modules.get("pytest_pafot.world.guard.hang_guard"), "note_interrupt", None)
     if note is not None:
         note(interrupt)
@@ -200,7 +199,7 @@ def _run(given: list[str]) -> int:
         RequestError,
     )
 
-    # The errors that the user can correct. A worker that dies raises a ChildProcessError.
+    # The errors that the user can correct. A ChildProcessError means that a worker died.
     errors = (RequestError, FieldError, AdsFactoryError, ChildProcessError)
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
@@ -217,19 +216,19 @@ def _run(given: list[str]) -> int:
         parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
-    bad_use = 4 if asked == "replay" else BAD_USE  # pytest's, because 2 is that of a session in which a policy hangs
+    bad_use = 4 if asked == "replay" else BAD_USE  # as in pytest, because 2 means that a policy hung
     try:
         arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
         if unknown:  # The parser itself would print the usage of all commands.
             which = commands.choices[arguments_given.command]
-            which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
+            which.error(f"unrecognized arguments: {' '.join(unknown)}. {which.prog} --help lists the options")
     except SystemExit as ended:  # after --help, or after an error
         sys.exit(bad_use if ended.code else 0)
-    # A text that the encoding of the output does not have must not end a command.
+    # A character that the encoding of the output does not have must not end a command.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        # Policies are in the current folder, as with pytest. It may be gone, if a shell is still in it.
+        # Policies are imported from the current folder, as in pytest. The folder may have been deleted.
         sys.path.insert(0, str(Path.cwd()))
         try:
             code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
@@ -238,25 +237,24 @@ def _run(given: list[str]) -> int:
             code = bad_use
         except SystemExit as error:
             sys.stderr.write(
-                f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}; the "
-                "policy, its factory or its module calls sys.exit: let it raise an error\n"
+                f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}. Does the "
+                "policy, its factory or its module call sys.exit? Raise an error instead\n"
             )
             code = bad_use
         sys.stdout.flush()
     except OSError as error:
-        if error.filename is not None:  # the current folder and the standard output have no file name
+        if error.filename is not None:  # neither the current folder nor the standard output has a file name
             raise
         return _without_surroundings(arguments_given.command, error)
     return code
 
 
 def _without_surroundings(command: str, error: OSError) -> int:
-    """Report a current folder that is gone, or a standard output that cannot be written; return the exit code."""
     from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a device, not a path)
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # Else Python fails to flush the rest when it exits.
-    if isinstance(error, BrokenPipeError):  # such as `| head`, which has read enough: not an error
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # otherwise, Python fails to flush the rest when it exits
+    if isinstance(error, BrokenPipeError):  # such as `| head`, which has read enough, so this is no error
         return 128 + 13
     expected, fix = "a standard output that can be written", way_out(error, "or redirect it")
     if isinstance(error, FileNotFoundError):

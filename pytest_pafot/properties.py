@@ -1,4 +1,4 @@
-"""Ready properties: common requirements for a driving policy, each of which is one call in a test function.
+"""Built-in properties: common requirements for a driving policy, each of which is one call in a test function.
 
 For example::
 
@@ -6,10 +6,8 @@ For example::
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each property except :func:`no_fault` is a check with a name and a margin. If a property does not apply to a run, it
-makes no check. Each docstring names the source and how reliable that is: *read*
-means that the source itself was read; *second hand* means that it is quoted from others. All other numbers are choices.
-The bounds of most properties are arguments.
+Each property except :func:`no_fault` is a check with a name and a margin. If it does not apply to a run, it makes no
+check. A source is marked *second hand* if only a quotation was read. All other numbers are choices.
 """
 
 from __future__ import annotations
@@ -26,12 +24,12 @@ __all__ = ["comfort", "no_fault", "rss_distance", "stays_on_road"]
 
 __tracebackhide__ = True  # pytest hides these frames, so a traceback ends in the test function
 
+# The scale of the margins of gaps to other vehicles [m].
 NEAR = 10.0
-"""The scale of gaps to other vehicles: a margin is the gap's distance from its bound divided by this scale [m]."""
 
 
 def no_fault(run: Run) -> None:
-    """Assert, without a margin, that the ego is not responsible for a collision, neither alone nor with the NPC.
+    """Assert, without a margin, that the ego is not responsible for a collision, alone or with the NPC.
 
     The rules of docs/explanation/verdicts.md decide.
     """
@@ -40,16 +38,17 @@ def no_fault(run: Run) -> None:
 
 
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
-    """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
+    """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and next to it.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road side by side, along
-    it for an NPC ahead that is not safe across. Crossing NPCs count once they are on the ego's way.
+    The value is the gap minus the safe distance [m] of the worst NPC, at least 0. NPCs behind do not count, and
+    crossing NPCs count once they are on the ego's path.
 
-    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default two seconds are enough behind a leader
-    of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default, two seconds are enough behind a
+    leader of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
     """
     if not isinstance(rules, RssRules):
-        raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
+        raise TypeError(f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}")
+    # Side by side, the gap across the road counts. For an NPC ahead, the gap along it counts unless it is safe across.
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
@@ -68,13 +67,13 @@ def comfort(
     lateral_acceleration: float | None = 3.0,
     lateral_jerk: float | None = 5.0,
 ) -> None:
-    """Check that the ride is comfortable, also in bends and in braking for others.
+    """Check that the ride is comfortable, even in bends and when braking for others.
 
     Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the lateral
-    acceleration [m/s^2] and its change per second [m/s^3]. None disables a limit.
+    acceleration [m/s^2] and the lateral jerk [m/s^3]. None disables a limit.
 
-    Source: along, ISO 15622:2018 above 20 m/s (second hand: its jerk is only for braking); across, UN R79, 5.6.2.1.3
-    (second hand: only its jerk is a mean).
+    Sources: along the road, ISO 15622:2018 above 20 m/s (second hand; its jerk is only for braking); across, UN R79,
+    5.6.2.1.3 (second hand; only its jerk is a mean).
     """
     asked = {
         "jerk": jerk,
@@ -99,22 +98,18 @@ def comfort(
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    On bent roads half the lane's width stands for the distance. No source.
+    On curved roads, half of the lane's width replaces the distance.
     """
     check(run.trace.road.to_edge(), name="road edge", at_least=0.0, unit="m")
 
 
 def _refuse_odd(name: str, **given: object) -> None:
-    """Raise for an argument of a property that is not a finite number of at least 0."""
-    for each, value in given.items():
+    for each, value in given.items():  # finite numbers of at least 0
         checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
 
 
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:
-    """Return the mean change of a signal per second, in the ``seconds`` before each tick.
-
-    Before its first tick, the signal is assumed to be constant.
-    """
+    # The mean change per second, in the seconds before each tick. Before its first tick, the signal is constant.
     ticks = round(seconds * hz)
     before = np.concatenate((np.full(ticks, values[0]), values))[: len(values)]
     # ticks / hz and not seconds, since half a second is not a whole number of ticks at 15 Hz

@@ -1,8 +1,7 @@
 """Hypothesis strategies for valid chromosomes and scenarios.
 
-Examples are valid by construction: a chain is a start cell and steps along the ring, so hypothesis need not filter
-them. They shrink towards few NPCs, Position-Instructions, short chains, no change of the cell or lane, and low round
-speeds.
+Examples are valid by construction, so hypothesis need not filter them. They shrink towards few NPCs,
+Position-Instructions, short chains, no changes, and low round speeds.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -25,11 +24,7 @@ if TYPE_CHECKING:
 
 
 def _register() -> None:
-    """Register the strategy for ``Scenario``, to be inferred from types.
-
-    Hypothesis calls this function when it is imported. The function is defined before the import of hypothesis below,
-    because that import may already call it.
-    """
+    # Hypothesis calls this when it is imported, which may be in the import below. So it is defined before that import.
     from hypothesis import strategies  # noqa: PLC0415
 
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
@@ -54,14 +49,14 @@ def chromosomes(
     max_genes: int = 6,
     instructions: Instructions = "cells",
 ) -> SearchStrategy[Chromosome]:
-    """Return a strategy for one NPC's chain: each cell equals the previous one or is its neighbour on the ring.
+    """Return a strategy for one NPC's chain: each cell equals the previous one or is next to it on the ring.
 
     Args:
-        cells: the cells that the chain may visit.
+        cells: cells that the chain may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the number of genes in the chain.
-        instructions: ``"cells"`` for Position-Instructions, ``"lanes"`` for Lane-Instructions, ``"both"`` for chains of
-            either kind.
+        min_genes, max_genes: bounds of the number of genes.
+        instructions: ``"cells"`` for Position-Instructions, ``"lanes"`` for Lane-Instructions, ``"both"`` for either
+            kind.
 
     Raises:
         ValueError: if no chain is within the bounds.
@@ -93,22 +88,20 @@ def scenarios(
     instructions: Instructions = "both",
     vehicles: Iterable[VehicleName | VehicleType] = (CAR,),
 ) -> SearchStrategy[Scenario]:
-    """Return a strategy for whole scenarios on a straight road, in which NPCs never share a cell in the same gene.
+    """Return a strategy for complete scenarios on a straight road, in which NPCs never share a cell in the same gene.
 
     Args:
-        cells: the cells that chains of Position-Instructions may visit.
+        cells: cells that chains of Position-Instructions may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the number of genes in a chain; the chains of Position-Instructions in a
-            scenario have the same length.
-        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8.
-        lanes: the number of lanes of the road; every NPC starts in a cell whose lane exists.
-        ego_lane: the ego's first lane, 0 at the left; None for a random one.
-        ego_speed: the first speed of all vehicles [m/s].
-        gene_seconds: the duration of one gene [s].
-        traffic: the driving style of the NPCs. Target speeds are at least its share of ``max_speed``.
-        instructions: ``"cells"`` if all NPCs have Position-Instructions, ``"lanes"`` if all have Lane-Instructions,
-            ``"both"`` if each NPC has either kind.
-        vehicles: what vehicles NPCs can be: names of ready ones, or vehicles. Examples shrink to the first one.
+        min_genes, max_genes: bounds of the number of genes; all chains of Position-Instructions have the same length.
+        min_npcs, max_npcs: bounds of the number of NPCs, from 1 to 8.
+        lanes: number of lanes of the road.
+        ego_lane: initial lane of the ego, 0 at the left; None for a random one.
+        ego_speed: initial speed of all vehicles [m/s].
+        gene_seconds: duration of a gene [s].
+        traffic: driving style of the NPCs, with a lower limit of the target speeds.
+        instructions: ``"cells"``, ``"lanes"``, or ``"both"`` for either kind in each NPC.
+        vehicles: vehicles of NPCs, as names of built-in ones or objects. Examples shrink to the first one.
 
     Raises:
         ValueError: if no scenario is within the bounds.
@@ -129,8 +122,8 @@ def scenarios(
     usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
     if not usable:
         raise ValueError(
-            f"max_npcs: expected no more NPCs than cells on the road in which they can start, received {max_npcs} with "
-            f"cells {[int(cell) for cell in allowed]} on {lanes} lanes; use fewer NPCs, more cells or more lanes"
+            f"max_npcs: expected at most one NPC for each cell on the road, received {max_npcs} NPCs with the cells "
+            f"{[int(cell) for cell in allowed]} on {lanes} lanes. Use fewer NPCs, more cells or more lanes"
         )
 
     @st.composite
@@ -162,14 +155,9 @@ def _chains(
     speeds: SearchStrategy[float],
     in_lanes: SearchStrategy[Chromosome | None],
 ) -> tuple[Chromosome, ...]:
-    """Draw the chains of some NPCs, which start in the cells ``starts`` and stay within the cells ``allowed``.
-
-    If ``in_lanes`` gives a chain for an NPC, the NPC has this chain instead. These chains are drawn first, because
-    hypothesis can then leave out any other NPC when it shrinks an example.
-
-    This is a plain function and not a strategy, because hypothesis reads the source of each strategy when the strategy
-    is made, which would be slow at each draw.
-    """
+    # This is a function and not a strategy, because hypothesis reads the source of each strategy when it is made, which
+    # would be slow at each draw. Chains in lanes are drawn first, so that hypothesis can omit any other NPC when it
+    # shrinks an example.
     held: list[Cell] = []
     lanes = [draw(in_lanes) for _ in range(npcs)]
     on_grid = lanes.count(None)
@@ -177,8 +165,8 @@ def _chains(
         held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
     rows = [list(held)]
     for _ in range(genes - 1):
-        # One NPC after the other moves to a free cell, so that "stay" is always possible. The order decides which NPC
-        # can follow which along the ring.
+        # The NPCs move to free cells one after another, so that "stay" is always possible. The order decides which NPC
+        # can follow another one along the ring.
         order = range(on_grid) if on_grid < 2 or not draw(st.booleans()) else reversed(range(on_grid))
         for npc in order:
             moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
@@ -191,7 +179,7 @@ def _chains(
 def _in_lanes(
     instructions: str, speeds: SearchStrategy[float], min_genes: int, max_genes: int
 ) -> SearchStrategy[Chromosome | None]:
-    """Return a strategy for a chain of Lane-Instructions, or None for an NPC on the grid, towards which it shrinks."""
+    # None is an NPC on the grid, towards which examples shrink.
     gene = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)
     chain = st.lists(gene, min_size=min_genes, max_size=max_genes).map(tuple)
     kinds = {"cells": st.none(), "lanes": chain, "both": st.none() | chain}

@@ -31,6 +31,7 @@ import subprocess
 import sys
 import tomllib
 from contextlib import nullcontext
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -47,8 +48,11 @@ import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.policies
 from pytest_pafot import __main__
-from pytest_pafot.campaign.options import OPTIONS
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS
+from pytest_pafot.campaign.request import SearchArguments
 from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.findings.finding import Expect, Found
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.world import Highway, from_dict
 from tests.helpers.sessions import command_in_a_copy, copied_workers, in_process, quick_sessions
 from tests.helpers.tables import table
@@ -385,20 +389,32 @@ def test_measured_tables_have_one_place_and_agree_with_their_files():
     figures = tool("figures")
     places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, DOCUMENTS)))
     assert sorted(places) == sorted(figures.OVERVIEWS)
-    page = text_of(COMPARISONS / "README.md")
-    for name, overview in figures.OVERVIEWS.items():
+    for name, (page, overview) in figures.OVERVIEWS.items():
         table = figures.markdown(overview(COMPARISONS))
-        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in page
+        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in text_of(ROOT / page)
 
 
 def test_reference_has_a_row_for_every_option():
-    rows = tool("generate").sections()["options"].splitlines()[2:]
-    assert len(rows) == len(OPTIONS)
-    for option, row in zip(OPTIONS, rows, strict=True):
+    module = tool("generate")
+    tables, grouped = module.sections(), [name for names in module.OPTION_GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted(option.name for option in OPTIONS)
+    rows = [row for group in module.OPTION_GROUPS for row in tables[group].splitlines()[2:]]
+    for name, row in zip(grouped, rows, strict=True):
+        option = BY_NAME[name]
         names = (option.key,) if option.everywhere else ()
         assert all(f"`{name}`" in row for name in names)
         assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
         assert option.flag in row
+
+
+def test_reference_has_a_row_for_every_argument_of_the_mark_and_every_key_of_a_file():
+    module = tool("generate")
+    arguments = [name for names in module.MARKER_GROUPS.values() for name in names]
+    assert sorted(arguments) == sorted(SearchArguments.__annotations__)
+    keys = {name for names in module.FILE_TEXTS for name in names.split(", ")}
+    parts = {"expect": Expect, "found": Found, "shrunk": Shrunk}
+    stored = {f"{part}.{field.name}" for part, cls in parts.items() for field in fields(cls)}
+    assert {key for key in keys if key.partition(".")[0] in parts} == stored
 
 
 @pytest.mark.parametrize("command", ["", *__main__.COMMANDS, "corpus list", "corpus accept"])
@@ -410,9 +426,7 @@ def test_no_help_names_a_file_of_the_documentation(command, capsys):
 
 def test_example_of_a_corpus_file_can_be_read():
     (example,) = (
-        block
-        for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/corpus-files.md"))
-        if name == "example-file"
+        block for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/files.md")) if name == "example-file"
     )
     content = example.removeprefix("```yaml\n").removesuffix("```\n")
     finding = parsed(Path("front-2-1f3a9c.pafot.yaml"), content.encode())

@@ -56,10 +56,7 @@ def test_readme_without_address_loses_links_but_no_text(long_description):
     assert targets(shown) == []
     assert "<picture>" not in shown
     assert fences(shown) == fences(README)
-    assert (
-        "lane 0 is the leftmost. Vehicles of highway-env,\nnetworks and programs and your own simulator work, too."
-        in shown
-    )
+    assert "test policies of highway-env, networks and\nprograms, and policies in your own simulator" in shown
 
 
 def test_absolute_and_internal_links_stay_unchanged(long_description):
@@ -86,7 +83,7 @@ def test_every_classifier_has_something_that_makes_it_true(check):
         "Operating System :: POSIX :: Linux": "auditwheel"
         in check["TOOLS"],  # builds wheels for this Python and runs tests with them
         "Typing :: Typed": (ROOT / "pytest_pafot" / "py.typed").is_file(),
-        # A classifier says that tests ran with a Python. A wheel is built for one more, as docs/guide/limits.md says.
+        # A classifier says that tests ran with a Python. A wheel is built for one more, see docs/explanation/search.md.
         **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels if name != "cp314-*"},
     }
     assert {*PROJECT["classifiers"]} - JUDGED == {name for name, holds in true.items() if holds}

@@ -284,7 +284,7 @@ def test_comfort_refuses_negative_or_non_finite_arguments(argument):
 
 
 def test_rules_of_another_kind_are_refused():
-    with pytest.raises(TypeError, match=r"expected rules= as criticality.RssRules\(\.\.\.\), received 2\.0"):
+    with pytest.raises(TypeError, match=r"expected rules=criticality.RssRules\(\.\.\.\), received 2\.0"):
         properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
 
 

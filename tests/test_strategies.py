@@ -139,7 +139,7 @@ def test_npcs_may_follow_each_other_around_the_ring():
     ({"min_speed": 5.0, "max_speed": 4.0}, "min_speed <= max_speed"),
     ({"min_genes": 0}, "min_genes"),
     ({"max_npcs": 9}, "<= 8"),
-    ({"lanes": 2, "max_npcs": 8}, "no more NPCs than cells"),
+    ({"lanes": 2, "max_npcs": 8}, "expected at most one NPC for each cell on the road"),
     ({"ego_lane": 7}, "from 0 to 3"),
     ({"lanes": 0}, "lanes: expected at least 1, received 0"),
     ({"instructions": "cell"}, "one of cells, lanes, both, received 'cell'"),

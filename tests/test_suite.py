@@ -93,7 +93,7 @@ def test_wheels_are_built_for_every_supported_python_and_one_more():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     supported = re.findall(r"Python :: 3\.(\d+)", " ".join(project["project"]["classifiers"]))
     assert project["project"]["requires-python"] == f">=3.{supported[0]}"
-    # One more, on which no test has run; docs/guide/limits.md says so, and the classifiers do not name it.
+    # One more, on which no test has run; docs/explanation/search.md says so, and the classifiers do not name it.
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in [*supported, "14"]]
 
 

@@ -36,7 +36,7 @@ STEP = 0.2
 WIDTH, HEAD, EGO, SCALE, SHOULDER = 700, 44, 190.0, 9.0, 1.2
 """Width, height of the line with the figures, place of the ego's centre [px]; px per m; beside the lanes [m]."""
 COLOURS = ("#5aa9ff", "#ffa64d", "#c9ced6")
-"""Colours of the ego, of the vehicle that it hits, and of all others, as in the gallery."""
+"""Colours of the ego, of the vehicle that it hits, and of all others, as in all pictures."""
 STAR = "M0-15 4-6 12-11 7-2 15 0 7 3 12 11 4 6 0 15-4 6-12 11-7 3-15 0-7-2-12-11-4-6Z"
 
 

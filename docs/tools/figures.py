@@ -6,7 +6,7 @@ It prints the commit, the versions, and the CPU hours of each step. The results 
 named after the commit that last changed the code, and are not measured again there. So a step that was interrupted, or
 that ran on a different machine, continues if its folder is there. Then the results are written into the documents,
 between a line ``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``. The reports of comparisons stay in
-DIR. All their tables are stored as CSV files in docs/comparisons, whose page has the part of them that readers need.
+DIR. All their tables are stored as CSV files in docs/comparisons; pages have the part of them that readers need.
 The tools that write documents themselves run last. They need Chromium, and the packages that their heads name.
 
 With ``--quick``, a few short runs are measured to try the command, and written into a copy of the documents in DIR.
@@ -56,7 +56,7 @@ BENCHMARKS: Mapping[str, str] = {
 
 WRITERS = {
     "reference": "docs/tools/generate.py",
-    "gallery": "docs/tools/gallery.py",
+    "verdict": "docs/tools/verdict_picture.py",
     "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -m stories",
     "crash": "docs/tools/crash_picture.py",
     "pages": "docs/tools/report_picture.py",
@@ -154,14 +154,6 @@ def overview_of_the_paper(folder: Path) -> Iterator[list[str]]:
             yield ["the paper's", *(THE_PAPERS[measure].get(search, "") for search in searches)]
 
 
-def overview_of_failures(folder: Path) -> Iterator[list[str]]:
-    """Yield rows of distinct failures in a run by algorithm and report."""
-    reports = {name: cells for name, cells in cells_of(folder).items() if name != "paper"}
-    yield ["search", *reports]
-    for search in dict.fromkeys(search for cells in reports.values() for search in cells):
-        yield [search, *(cells.get(search, {}).get("mean of a run", "") for cells in reports.values())]
-
-
 def overview_of_planted(folder: Path) -> Iterator[list[str]]:
     """Yield rows of how soon each search finds planted defects."""
     yield ["search", "found", "median of runs", "times the default's"]
@@ -170,12 +162,11 @@ def overview_of_planted(folder: Path) -> Iterator[list[str]]:
             yield [search, found, median, ratio]
 
 
-OVERVIEWS: Mapping[str, Callable[[Path], Iterator[list[str]]]] = {
-    "overview-of-the-paper": overview_of_the_paper,
-    "overview-of-failures": overview_of_failures,
-    "planted-defects": overview_of_planted,
+OVERVIEWS: Mapping[str, tuple[str, Callable[[Path], Iterator[list[str]]]]] = {
+    "overview-of-the-paper": ("docs/explanation/paper.md", overview_of_the_paper),
+    "planted-defects": ("docs/guide/algorithms.md", overview_of_planted),
 }
-"""Tables of the page of comparisons, made from its CSV files."""
+"""Tables that are made from the CSV files, each with its page."""
 
 
 def markdown(rows: Iterator[list[str]]) -> str:
@@ -264,8 +255,8 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
     for picture, published in PICTURES.items():
         if (folder / picture).exists():
             shutil.copy(folder / picture, comparisons / published)
-    for name, overview in OVERVIEWS.items():
-        write_between(comparisons / "README.md", name, markdown(overview(comparisons)))
+    for name, (page, overview) in OVERVIEWS.items():
+        write_between(root / page, name, markdown(overview(comparisons)))
 
 
 def main() -> None:

@@ -16,22 +16,19 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, plugin, policies, properties, strategies
+from pytest_pafot import policies, properties
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Search
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
-from pytest_pafot.campaign.request import Request, SearchArguments
+from pytest_pafot.campaign.request import Request
 from pytest_pafot.commands.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
-from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.plan import COLUMNS as COMPARED
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.criticality import Passage, RssRules
+from pytest_pafot.criticality import RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
-from pytest_pafot.export.exporter import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import (
     Cell,
     CrossingInstruction,
@@ -40,13 +37,11 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
-from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle, VehicleType
+from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle
 from pytest_pafot.oracle.run import Run, check
-from pytest_pafot.report.session_record import finding_entry, to_text
+from pytest_pafot.report.session_record import finding_entry
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
-    Control,
-    CrossingVehicle,
     Drive,
     Highway,
     NpcLimits,
@@ -54,7 +49,6 @@ from pytest_pafot.world import (
     Perception,
     Simulator,
     SimulatorWorld,
-    Vehicle,
     VehicleState,
     World,
 )
@@ -72,120 +66,151 @@ _WORLD = re.compile(
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "`pafot.Highway(...)`, `pafot.World(...)`, `pafot.SimulatorWorld(...)`, or [a text that names "
-    "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
-    "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
-    "fitness": "[The fitness](fitness.md): a name, a measure, or a function of the trace.",
-    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"` or `"ego"`.',
-    "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
-    'or `"paper"`.',
-    "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
-    '`"lanes"` or `"both"`.',
-    "vehicles": "[What NPCs can be](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. With cars among them, "
-    "one NPC in six is another one.",
-    "gene_seconds": "Duration of one gene [s].",
-    "ego_lane": "The ego's first lane, from 0 at the left.",
-    "npcs": "Number of NPCs, 1 to 8.",
+    "ads": 'Policy under test: [its factory](../guide/planners.md), a string such as `"planner:Planner"`, or the name '
+    "of a fixture that returns the factory.",
+    "world": '[World](worlds.md), such as `pafot.Highway(...)`, or a string such as `"module:factory"`.',
+    "blame": 'Failures that count. `"ego"` excludes collisions for which only an NPC is '
+    "[responsible](../explanation/verdicts.md).",
+    "against": "[Reference policy](../guide/ci.md). Only failures that the reference avoids count.",
+    "isolate": "If true, the policy runs in [separate processes](../guide/planners.md). A crash of such a process is a "
+    "finding.",
+    "traffic": '[Driving style of the NPCs](scenarios.md#traffic-styles): `"hostile"`, `"assertive"`, `"everyday"` or '
+    '`"paper"`.',
+    "vehicles": "[Vehicle types of the NPCs](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. If cars are "
+    "among them, one NPC in six has a different type.",
+    "npcs": "Number of NPCs, from 1 to 8.",
+    "instructions": '[Instructions](scenarios.md) of NPCs that do not cross the ego\'s path: `"cells"`, `"lanes"` or '
+    '`"both"`.',
+    "genes": "Number of instructions of each NPC that does not cross the ego's path.",
+    "gene_seconds": "Duration of one instruction [s].",
+    "ego_lane": "Lane in which the ego starts, counted from 0 at the left.",
+    "ego_speed": "Speed [m/s] at which the ego and all NPCs that do not cross its path start.",
+    "runs": "[Number of runs](options.md#pafot-runs), at least 1.",
+    "generations": "[Number of generations](options.md#pafot-generations), at least 1. Only some algorithms have "
+    "generations.",
+    "seed": "[Base seed](options.md#pafot-seed) from which the seed of the search is derived.",
+    "algorithm": "[Search algorithm](options.md#pafot-algorithm): a name, or [a class of your "
+    "own](../guide/algorithms.md).",
+    "fitness": "[Fitness](checks.md#fitness) that an algorithm maximises. The default algorithm does not use it.",
+    "shrink_rollouts": "[Maximum number of runs](options.md#pafot-shrink-rollouts) to simplify one finding.",
 }
-"""Meanings of arguments that no docstring explains."""
+"""The meanings of the arguments of the mark."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
     "world": "the fixture `pafot_world`",
-    "genes": "as many as fill the run",
-    "npcs": "[sampled](#what-is-sampled)",
+    "genes": "as many as fit into the run",
+    "npcs": "[sampled](#values-that-you-do-not-set)",
     "gene_seconds": "sampled",
-    "traffic": '`"hostile"`, or `"paper"`',
-    "instructions": '`"both"`, or `"cells"`',
-    "vehicles": "all that fit the road; cars for the other algorithms",
+    "traffic": '`"hostile"`; `"paper"` with the algorithms of the paper',
+    "instructions": '`"both"`; `"cells"` with the algorithms of the paper',
+    "vehicles": "all types that fit the road; only cars with a different `algorithm`",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
+    "algorithm": '`"random"`',
 }
 """Defaults that no dataclass contains."""
 
-FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `3`.",
-    "test": "Node id of the test; the folder decides which test replays the file.",
-    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. The "
-    "kinds `metadrive` and `sumo` have `data`. Of a world that is code (`own`, or with `wrappers`) the replay uses the "
-    "test's.",
-    "scenario.seed": "Of all random choices in the run.",
-    "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
-    "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",
-    "scenario.traffic": "[The style](../explanation/traffic.md); by default the paper's.",
-    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of NPCs that are no cars, by their names: a name, or "
-    "`{name, length, width, ...}`.",
-    "scenario.npcs": "By the names `NPC 0`, `NPC 1` ... the list of [instructions](scenarios.md) of each NPC: `{cell, "
-    "speed}`, with the name of a cell, `{lane, speed}`, or one `{zone, slot, speed, act}`. Speeds are in m/s.",
-    "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung.",
-    "expect.assertion": "The failing assertion, with `N` for each number; the name of a failed check; of another "
-    "exception, its statement or first line.",
-    "expect.message": "First line of the message, if `assertion` does not say it.",
-    "expect.time": "Of the event [s]: of the failed check, otherwise `event_time`.",
-    "expect.check": "Of a failed check: `value`, `at_most`, `at_least`, `unit`.",
-    "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure: "
-    "`npc`, `time` [s], the `gap` between the bumpers [m] (negative side by side), the `place` of the NPC (`ahead` or "
-    "`behind`), `lanes_to_right` of the ego (negative: to the left), `ego_speed` and `npc_speed` [m/s] (of a leader, "
-    "its lowest from then on). Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace it.",
-    "expect.takeover": "[The latest takeover](../explanation/findings.md#what-a-careful-driver-would-have-done) by a "
-    "careful driver that avoids the collision [s before the impact]; `0.0` if none of the last 3 s does.",
-    "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
-    "`entered-lane`.",
-    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight) that are no defaults.",
-    "shrunk.rollouts": "Runs that shrinking took.",
-    "shrunk.before": "The size of the scenario as first found, which shrinking has replaced.",
-    "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
-    "tried.",
-    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
-    "each with another seed, or of a flaky one with the same.",
-    "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
-    "xfail": "[Why you accept the failure](../guide/triage.md#accept-a-failure-for-a-while), and up to which day: "
-    "`{reason: ..., until: 2027-01-31}`.",
-    "expect.closing_speed": "Of the collision [m/s].",
-    "expect.against": "The reference that passed, such as `module:factory`.",
-    "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
-    "it names.",
-    "expect.npc_manoeuvre, expect.ego_manoeuvre": "Shortly before the collision.",
-    "expect.traceback": "Of an ADS that raised, without addresses, process ids and temporary folders.",
-    "found.seed": "Of the search; no value for `--pafot-seed`.",
-    "found.generation": "Counted from 0.",
-    "found.policy": "Name of the policy, such as `planner:MyPlanner`; of a lambda, the class that it makes.",
-    "found.worst_closing_speed": "Of the worst run of that search that failed alike [m/s]. A run that is 1 m/s faster "
-    "[is not accepted](../guide/triage.md#accept-a-failure-for-a-while).",
-    "found.versions": "Of the packages that the run depends on, and of the rules of verdicts.",
+MARKER_GROUPS: Mapping[str, Sequence[str]] = {
+    "marker-tested": ("ads", "world", "blame", "against", "isolate"),
+    "marker-traffic": (
+        *("traffic", "vehicles", "npcs", "instructions", "genes", "gene_seconds", "ego_lane", "ego_speed"),
+    ),
+    "marker-search": ("runs", "generations", "seed", "algorithm", "fitness", "shrink_rollouts"),
 }
-"""Meanings of keys that no docstring explains for a reader of files, or only at length."""
+"""The arguments of the mark by table."""
 
-RUN_INTERNALS = (
-    *("take_over", "facts"),
-    *("event_npc", "event_cell", "closest_time", "zone_of", "place_of"),
-)
-"""Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""
+OPTION_GROUPS: Mapping[str, Sequence[str]] = {
+    "options-search": (
+        *("runs", "generations", "max_time", "stop_after", "seed", "algorithm", "against"),
+        *("workers", "dask", "isolate"),
+    ),
+    "options-findings": ("shrink_rollouts", "corpus", "save", "report", "json", "debug"),
+    "options-strictness": ("strict_drift", "strict_health", "allow_orphans", "today"),
+}
+"""The options by table."""
 
-AT_THE_END = ("perception", "shrunk", "rate", "flaky", "test", "world", "xfail")
-"""Keys of a file that follow the keys of dataclasses. All are optional."""
+RUN_GROUPS: Mapping[str, Sequence[str]] = {
+    "run-end": ("outcome", "collision", "off_road", "ads_error", "duration", "max_decision_time"),
+    "run-danger": (*("min_distance", "min_ttc", "hardest_brake", "closest_approach", "worst_ttc"),),
+    "run-verdict": ("responsibility", "explain()", "takeover"),
+    "run-ticks": (
+        *("ego", "npcs", "headway", "leader", "lane_changes", "passages", "signal()", "to_pandas()"),
+        *("trace", "scenario"),
+    ),
+}
+"""The attributes of a run by table. The Python API has the others, which pages and summaries need."""
+
+SEARCH_KEYS = ("node_id", "base_seed, seed", "kinds, outcomes, responsibilities", "finds")
+FINDING_KEYS = ("id", "test", "status", "result", "file", "replay", "headline", "detail", "xfail")
+"""The keys of --pafot-json that most programs need. The Python API has all."""
+
+FILE_TEXTS: Mapping[str, str] = {
+    "pafot": "Version of the format: `3`.",
+    "scenario.seed": "Seed of all random choices in the run.",
+    "scenario.ego": "Start of the ego: its `lane`, counted from 0 at the left, and its `speed` [m/s]. NPCs that do not "
+    "cross the ego's path start at the same speed.",
+    "scenario.gene_seconds": "Duration of each instruction [s]. The default is `10.0`.",
+    "scenario.traffic": "[Driving style of the NPCs](scenarios.md#traffic-styles). The default is `paper`.",
+    "scenario.vehicles": "[Vehicle types](scenarios.md#vehicles) of the NPCs that are not cars, such as `{NPC 1: "
+    "truck}`.",
+    "scenario.npcs": "[Instructions](scenarios.md) of each NPC: `{cell, speed}`, `{lane, speed}` or, only once, "
+    "`{zone, slot, speed, act}`. Speeds are in m/s.",
+    "expect.failure": "Class of the exception, or `ProcessCrash` if the process died or hung.",
+    "expect.assertion": "Failing assertion, with `N` for each number, or name of the failed check. For other "
+    "exceptions, the failing statement or the first line of the message.",
+    "expect.check": "Values of a failed check: `value`, `at_most`, `at_least` and `unit`.",
+    "expect.message": "First line of the message, unless `assertion` contains it.",
+    "expect.outcome": "[How the run ended](run.md#how-a-run-ends).",
+    "expect.time": "Time of the failed check or, without a check, of the most important event [s].",
+    "expect.npc, expect.cell": "NPC of the collision and its cell. Without a collision, the NPC with the smallest time "
+    "to contact. For a failed check, the NPC that the check names.",
+    "expect.zone": "Zone in which the NPC crossed the ego's path, such as `crossing from the left`.",
+    "expect.side, expect.closing_speed": "Side of the ego that was hit, and closing speed [m/s].",
+    "expect.situation": "Positions and speeds shortly before the failure. A replay that passes checks whether [this "
+    "situation occurred](../explanation/findings.md).",
+    "expect.responsibility, expect.fault": "Who is [responsible](../explanation/verdicts.md) for the collision, and "
+    "the rule if it is the ego.",
+    "expect.mistake": "Driving error of the ego, if `fault` is `entered-lane`.",
+    "expect.npc_manoeuvre, expect.ego_manoeuvre": "Manoeuvres shortly before the collision.",
+    "expect.takeover": "Latest time before the impact [s] at which [a careful driver](../explanation/findings.md) "
+    "could take over and reliably avoid it. `0.0` if there is none in the last 3 s.",
+    "expect.against": "Reference policy that passed, such as `module:factory`.",
+    "expect.traceback": "Traceback of an exception in the policy.",
+    "found.seed": "Seed of the search. It is not a value for `--pafot-seed`.",
+    "found.algorithm, found.generation, found.policy": "Algorithm, generation (counted from 0) and policy of the "
+    "search.",
+    "found.worst_closing_speed": "Highest closing speed [m/s] of all runs with this failure in the search.",
+    "found.versions": "Versions of the packages on which the run depends, and of the rules of responsibility.",
+    "perception": "Arguments of [`pafot.Perception`](../guide/planners.md) that differ from the defaults.",
+    "shrunk.rollouts, shrunk.before": "Number of runs for shrinking, and size of the scenario before.",
+    "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md) were tried.",
+    "rate": "How often [a random policy](../guide/triage.md) failed: `failing` of `runs`. Each run had a different "
+    "seed, unless the file is `flaky`.",
+    "flaky": "Difference between two runs of the scenario. Remove this line once the failure is repeatable.",
+    "test": "Node id of the test. Only the folder determines which test replays the file.",
+    "world": "`kind` and arguments of the [world](worlds.md).",
+    "xfail": "`reason` for which you [accept the failure](../guide/triage.md), and last day (`until`).",
+}
+"""Meanings of the keys of a corpus file."""
 
 
 def sections() -> dict[str, str]:
     """Return the text of every generated section, by name."""
     return {
-        "options": _options_table(),
-        "session-record": _record_table(to_text, "Keys:"),
-        "search-record": _record_table(Search),
-        "finding-record": _record_table(finding_entry, "Keys:"),
-        "marker": _marker_table(),
-        "fixtures": _fixtures_table(),
-        "run": _properties_table(Run, without=RUN_INTERNALS),
+        **{group: _options_table(names) for group, names in OPTION_GROUPS.items()},
+        "search-record": _record_table(Search, only=SEARCH_KEYS),
+        "finding-record": _record_table(finding_entry, "Keys:", only=FINDING_KEYS),
+        **{group: _marker_table(names) for group, names in MARKER_GROUPS.items()},
+        **{group: _properties_table(Run, only=names) for group, names in RUN_GROUPS.items()},
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "properties": _ready_list(),
         "lane-change": _fields_table(EgoLaneChange),
-        "passage": _fields_table(Passage),
         "collision": _fields_table(Collision),
         "outcomes": _outcomes_table(),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
-        "vehicle-type": _fields_table(VehicleType),
         "vehicles": _vehicles_table(),
         "instruction": _fields_table(PositionInstruction),
         "crossing-instruction": _fields_table(CrossingInstruction),
@@ -195,27 +220,18 @@ def sections() -> dict[str, str]:
         "limits": _fields_table(NpcLimits),
         "simulator-world": _fields_table(SimulatorWorld),
         "simulator": _fields_table(Simulator),
-        "simulator-vehicle": _fields_table(Vehicle),
-        "simulator-control": _fields_table(Control),
         "drive": _fields_table(Drive),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),
-        "crossing-vehicle": _fields_table(CrossingVehicle),
-        "zone": _fields_table(Zone),
         "perception": _fields_table(Perception),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
-        "measures": _measures_table(),
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",
-        "strategies": _strategies_table(),
-        "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments, as_in_mark=OF_SEARCH),
-        "run-table": _columns_table(run_table.COLUMNS),
         "results": _columns_table(
             {name: text for name, text in COMPARED.items() if run_table.COLUMNS.get(name) != text}
         ),
-        "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
     }
 
@@ -247,7 +263,7 @@ def _fields_table(cls: type[Any]) -> str:
         [
             _code(names),
             *([", ".join(filter(None, map(defaults.get, names.split(", "))))] if has_defaults else []),
-            text,
+            _capital(text),
         ]
         for names, text in _attributes(cls)
     ]
@@ -322,9 +338,8 @@ def _value(function: Callable[..., Any]) -> str:
     return _capital(re.sub(r"^[Tt]he (?!\w+'s)", "", text))
 
 
-def _options_table() -> str:
-    header = ["Command line, ini or toml key, argument of the mark", "Default", "Meaning"]
-    return _table(header, map(_option_row, OPTIONS))
+def _options_table(names: Sequence[str]) -> str:
+    return _table(["Option", "Default", "Meaning"], (_option_row(BY_NAME[name]) for name in names))
 
 
 def _option_row(option: Option) -> list[str]:
@@ -332,7 +347,7 @@ def _option_row(option: Option) -> list[str]:
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, argument) if option.everywhere else ("", "")
     is_said = all(choice in option.help for choice in option.choices)
-    choices = "" if is_said else f" One of {_code(', '.join(option.choices))}."
+    choices = "" if is_said else f" {'Built-in:' if option.or_class else 'One of'} {_code(', '.join(option.choices))}."
     place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
         place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
@@ -345,43 +360,30 @@ def _option_default(option: Option) -> str:
     plain = "none" if option.default is None else f"`{option.default}`"
     stated = {
         "runs": f"`{RUNS}`",
-        "shrink_rollouts": "by the ADS",
+        "shrink_rollouts": "depends on the policy",
     }
     return stated.get(option.name, plain)
 
 
-def _marker_table() -> str:
-    texts = {**dict(_attributes(SearchSpace)), **MARKER_TEXTS}
-    defaults = {**_defaults(Request), **_defaults(SearchSpace), **MARKER_DEFAULTS}
-    given = sorted(SearchArguments.__annotations__, key=lambda name: name not in ("world", "ads"))
-    names = [name for name in given if name not in BY_NAME]
-    rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
+def _marker_table(names: Sequence[str]) -> str:
+    options = {option.name: _option_default(option) for option in OPTIONS}
+    defaults = {**options, **_defaults(Request), **_defaults(SearchSpace), **MARKER_DEFAULTS}
+    rows = [[_code(name), defaults[name].replace("'", '"'), MARKER_TEXTS[name]] for name in names]
     return _table(["Argument", "Default", "Meaning"], rows)
 
 
-def _fixtures_table() -> str:
-    tree = ast.parse(inspect.getsource(plugin))
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("pafot_")]
-    rows = [[f"`{node.name}`", _scope(node), _first_paragraph(ast.get_docstring(node))] for node in functions]
-    return _table(["Fixture", "Scope", "Value"], rows)
-
-
-def _scope(node: ast.FunctionDef) -> str:
-    keywords = [word for each in node.decorator_list if isinstance(each, ast.Call) for word in each.keywords]
-    return next((str(word.value.value) for word in keywords if isinstance(word.value, ast.Constant)), "function")
-
-
-def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
-    own = {name: text for name, text in _attributes(cls) if name not in without}
+def _properties_table(cls: type[Any], only: Sequence[str] = ()) -> str:
+    own = dict(_attributes(cls))
     for name, member in vars(cls).items():
-        if not name.startswith("_") and name not in (*own, *without):
+        if not name.startswith("_") and name not in own:
             inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
             own[name if inner is not member else f"{name}()"] = _value(inner)
-    return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
+    return _table(["Name", "Meaning"], [[_code(name), _capital(own[name])] for name in only or own])
 
 
-def _record_table(thing: Any, heading: str = "Attributes:") -> str:
-    return _table(["Key", "Meaning"], [[_code(name), _capital(text)] for name, text in _attributes(thing, heading)])
+def _record_table(thing: Any, heading: str = "Attributes:", only: Sequence[str] = ()) -> str:
+    texts = dict(_attributes(thing, heading))
+    return _table(["Key", "Meaning"], [[_code(names), _capital(texts[names])] for names in only or texts])
 
 
 def _outcomes_table() -> str:
@@ -394,15 +396,7 @@ def _outcomes_table() -> str:
 
 
 def _file_table() -> str:
-    described = {
-        ", ".join(f"{part}.{name}" for name in names.split(", ")): _capital(text)
-        for part, cls in (("expect", Expect), ("found", Found))
-        for names, text in _attributes(cls)
-    }
-    described |= {names: text for names, text in FILE_TEXTS.items() if names in described}
-    own = {names: text for names, text in FILE_TEXTS.items() if names not in described}
-    last = {name: own.pop(name) for name in list(own) if name.partition(".")[0] in AT_THE_END}
-    return _table(["Field", "Meaning"], [[_code(names), text] for names, text in (own | described | last).items()])
+    return _table(["Field", "Meaning"], [[_code(names), text] for names, text in FILE_TEXTS.items()])
 
 
 def _example() -> Finding:
@@ -436,23 +430,12 @@ def _example() -> Finding:
     )
 
 
-def _measures_table() -> str:
-    functions = [getattr(criticality, name) for name in criticality.__all__]
-    measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
-    rows = [[f"`{each.__name__}`", _value(each)] for each in measures if not each.__name__.startswith("min_")]
-    return _table(["Measure", "Meaning"], rows)
-
-
 def _signals_table() -> str:
     rows = [
         [f"`run.{each.name.replace('npcs', 'npcs[i]')}`", each.unit, each.worse, _capital(each.source) + "."]
         for each in MEASURES
     ]
     return _table(["Signal", "Unit", "Worse", "Meaning"], rows)
-
-
-def _parameters(function: Callable[..., Any]) -> Iterable[str]:
-    return inspect.signature(function).parameters
 
 
 def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: Sequence[str] = ()) -> str:
@@ -468,7 +451,7 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
         )
         value = "" if action.nargs == 0 else value
         text = _WORLD.sub(
-            r"drive in this world ([all forms](../guide/own-world.md#in-every-command); \1",
+            r"drive in this [world](../reference/worlds.md) (\1",
             (action.help or "") % vars(action),
         )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
@@ -478,7 +461,8 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
             rows.append([f"`{name}`", _capital(text) + "."])
     if as_in_mark:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in as_in_mark)
-        rows.append([_code(flags), "As [the mark's arguments](../reference/search.md); `--help` has the defaults."])
+        text = "Same as [the arguments of `@pafot.search`](../reference/search.md). `--help` shows the defaults."
+        rows.append([_code(flags), text])
     return _table(["Option", "Meaning"], rows)
 
 
@@ -506,14 +490,6 @@ def _stated(function: Callable[..., Any]) -> str:
         default = "..." if isinstance(each.default, RssRules) else repr(each.default)
         stated.append(each.name if each.default is inspect.Parameter.empty else f"{each.name}={default}")
     return ", ".join(stated)
-
-
-def _strategies_table() -> str:
-    rows = []
-    for name in strategies.__all__:
-        function: Callable[..., Any] = getattr(strategies, name)
-        rows.append([f"`pafot.strategies.{name}()`", _capital(_value(function).removeprefix("A strategy for "))])
-    return _table(["Strategy", "Generates"], rows)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Make the sheets in guide/roads.md: a finding on each kind of road that highway-env has, and its junctions.
+"""Make the sheets in guide/environments.md: a finding on each kind of road that highway-env has, and its junctions.
 
 roads.png has random scenarios with an ego that keeps its lane and its speed: the first collision for which it is
 responsible, half a second before the impact. junctions.png has the ways of other traffic, with the zones in which they

@@ -1,9 +1,4 @@
-"""The ego's mistake in a collision that it is responsible for.
-
-A verdict's *fault* is the rule by which the ego is responsible. All lane changes have the same fault. They become
-different mistakes, in a few words that distinguish one defect from another, by the place of the other vehicle at the
-time when the ego had to take that vehicle into account.
-"""
+"""The ego's driving error in a collision for which it is responsible."""
 
 from __future__ import annotations
 
@@ -27,24 +22,24 @@ from pytest_pafot.model.trace import Trace
 
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
+# A lane change belongs to an event if it occurs at most this long before it [s]. At motorway speed it takes about 2 s.
 WINDOW_SECONDS = 4.0
-"""The time before an event in which a lane change belongs to the event [s]; a lane change takes about 2 s at motorway
-speed."""
 
+# A vehicle that moves sideways by at most this distance within WINDOW_SECONDS keeps its lane [m]. The value is half of
+# the free width of a lane.
 DISPLACEMENT = 1.0
-"""The largest sideways move of a vehicle that keeps its lane, within ``WINDOW_SECONDS`` [m]; it is half of the free
-width of a lane."""
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
-    """Return whether a vehicle (0: the ego, ``i + 1``: NPC ``i``) changed lanes at a tick or shortly before."""
+    """Return what a vehicle (0: the ego, ``i + 1``: NPC ``i``) did at a tick or shortly before."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
     return "lane-change" if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT else "lane-keeping"
 
 
+# The mistakes of an ego that entered a lane.
 LANE_CHANGES: tuple[Mistake, ...] = ("kept-no-distance", "moved-into-side", "moved-in-front")
-"""The mistakes of an ego that entered a lane."""
 
+# The mistake depends on the side that the other vehicle came from, because a policy may look to one side only.
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {
         "left": "did-not-give-way-left",
@@ -53,8 +48,9 @@ NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
         "behind": "did-not-give-way-behind",
     }
 )
-"""The mistake by the side that the other vehicle came from, because a policy may look only to one side."""
 
+# The other two faults, a lane change and not giving way, stand for several mistakes each. They depend on the position
+# of the other vehicle.
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
         "leader-unanswered": "kept-no-distance",
@@ -64,26 +60,21 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
         "entered-taken-zone": "entered-taken-zone",
     }
 )
-"""The mistake by the fault. The two other faults, a lane change and not giving way, have several mistakes each, by the
-place of the other vehicle."""
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """Return the ego's mistake in a collision by the verdict; None if the ego is not responsible.
-
-    If the ego entered a lane, the mistake depends on the place of the other vehicle when the ego crossed the line. The
-    other vehicle is ahead if there are more than 2 m between the boxes along the road. It is behind if its box is
-    entirely behind the ego's. Otherwise it is next to the ego.
-    """
+    """Return the ego's mistake, given the verdict on its collision, or None if it is not responsible."""
     npc = None if trace.collision is None else trace.collision.npc
     if npc is None or attribution.fault is None or attribution.tick is None:
         return None
     if attribution.fault in BY_FAULT:
         return BY_FAULT[attribution.fault]
+    # The other faults have several mistakes each, which the position of the other vehicle tells apart.
     zone = trace.zones[npc] if trace.zones else None
     if attribution.fault == "did-not-give-way":
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, tick = frame_of(trace), attribution.tick
+    # When the ego crossed the line: more than NEXT_TO between the boxes is ahead, entirely behind the ego is behind.
     ahead, both = frame.ahead[npc, tick], frame.half_lengths(npc)[tick]
     if ahead > both + NEXT_TO:
         return "kept-no-distance"
@@ -91,19 +82,19 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
 
 
 def attributed(trace: Trace) -> Attribution:
-    """Return the verdict of :func:`rss_rule` on a run's collision, together with the ego's mistake in it."""
+    """Return the verdict of :func:`rss_rule` on a run's collision, with the ego's mistake."""
     found = rss_rule(trace)
     return found if found.fault is None else replace(found, mistake=mistake(trace, found))
 
 
 def decided(found: Attribution, seconds: float | None) -> Attribution:
-    """Return a contested verdict as a careful driver decides it: whether the ego had time that ran into an NPC.
+    """Return the verdict after a careful driver has settled a contested one.
 
-    ``seconds`` is the latest takeover that avoids the collision [s before the impact]. If there is one, both are
-    responsible; at 0, the NPC is. None stands for a world that cannot say, so the verdict stays.
+    ``seconds`` is the latest takeover that avoids the collision [s before the impact]; 0 if none does, None if unknown.
     """
     if found.contested is None or seconds is None:
         return found
+    # If no takeover helps, the ego had no time. If one does, it shares the responsibility that the rules left open.
     if not seconds:
         return replace(found, responsibility="npc", fault=None, mistake=None, takeover=seconds)
     fault = found.contested

@@ -1,7 +1,6 @@
 """Responsibility for a collision, by five rules that read only the trace of the run.
 
-:func:`rss_rule` decides the verdict; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md has the
-rules, each in one sentence, and their numbers with their sources.
+docs/explanation/verdicts.md states the rules, their numbers and the sources.
 """
 
 from __future__ import annotations
@@ -20,10 +19,12 @@ from pytest_pafot.criticality.measures import Boxes, last_stretch, overlaps, rel
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, FloatArray, Trace, X, Y
 
+# "none": there was no collision, or neither vehicle could foresee the other in time at a junction.
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""The vehicles that are responsible for a collision. It is ``none`` without a collision, and if the ways of the
-vehicles met and neither could have foreseen the other in time."""
 
+# The rule that the ego broke, in this order: it moved into another vehicle's path; it did not respond to a cut-in, or
+# to a vehicle ahead; it braked hard, or stopped, without a reason; at a junction it did not give way, or entered the
+# conflict zone while the NPC was visibly there.
 Fault = Literal[
     "entered-lane",
     "cut-in-unanswered",
@@ -33,13 +34,13 @@ Fault = Literal[
     "did-not-give-way",
     "entered-taken-zone",
 ]
-"""The faults of the ego, in this order. It moved into another vehicle's way. It did not answer a cut-in, or a vehicle
-ahead in its lane. It braked hard, or stopped, with nothing in its way. In a zone where its way meets the NPC's, it did
-not give way, or it drove in while the NPC visibly was there."""
 
+# The faults of a following ego that did not respond.
 UNANSWERED: tuple[Fault, ...] = ("cut-in-unanswered", "leader-unanswered")
-"""The faults of an ego behind that did not answer."""
 
+# What the ego did wrong, in this order: it did not keep its distance; it changed lanes into a vehicle next to it, or in
+# front of a vehicle behind; it braked hard, or stopped, without a reason; it did not give way to a vehicle from one of
+# four sides; it entered an occupied conflict zone.
 Mistake = Literal[
     "kept-no-distance",
     "moved-into-side",
@@ -52,46 +53,42 @@ Mistake = Literal[
     "did-not-give-way-behind",
     "entered-taken-zone",
 ]
-"""The mistakes of the ego, in this order. It did not keep its distance to a vehicle ahead, also after a lane change
-behind that vehicle or after that vehicle's cut-in. It changed lanes into a vehicle next to it, or in front of a vehicle
-behind. It braked hard, or stopped, with nothing in its way. It did not give way to a vehicle from the left, the right,
-ahead or behind. It drove into a zone in which another vehicle visibly was."""
 
+# The time until a driver's brakes act, for a vehicle ahead (RSS) and for one that cuts in [s]. The second is 0.4 s to
+# perceive the risk, 0.75 s until the brakes act, and half of the time in which they build up (UN R157, annex 4,
+# appendix 3). The first is also the headway that a lane change must leave, and the time for which an earlier action
+# still counts.
 DELAY, DELAY_AFTER_CUT_IN = 1.0, 1.4
-"""The time until a driver's brakes act, for a vehicle ahead (RSS) and for one that came in from the side [s]: 0.4 s to
-perceive the risk, 0.75 s until the brakes act, and half the time in which they build up (UN R157, annex 4, appendix 3).
-The first is also the headway that a lane change leaves, and the time for which what a vehicle did still counts."""
+# The braking that the rules require of a driver [m/s^2] (UN R157, 5.2.5.2).
 HARDEST = 6.0
-"""The braking that the rules require of a driver [m/s^2] (UN R157, 5.2.5.2)."""
+# The usual headway of two seconds to a leader of equal speed must never be a fault. With these values it is safe up to
+# 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower accelerates during its response time, which would
+# require more than two seconds. A leader brakes at 8 m/s^2 at most, the hardest that NPCs can.
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=HARDEST, hardest_braking=8.0)
-"""The safe distances of attribution. The usual headway of two seconds to a leader of equal speed must never be a fault:
-with these values it is safe up to 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower speeds up during the
-response time, which would require more than two seconds. A leader brakes with at most 8 m/s^2, the hardest that NPCs
-can. Lateral values, which the rules do not use, are the defaults of :class:`~pytest_pafot.criticality.RssRules`."""
+# The braking [m/s^2] that a lane change, or a vehicle at a junction, may impose on another vehicle, and the time until
+# that braking starts [s] (UN R79, 5.6.4.7).
 GENTLY, AFTER = 3.0, 0.4
-"""The braking [m/s^2] that a lane change or a vehicle at a crossing may require of another vehicle, and the time until
-it begins [s] (UN R79, 5.6.4.7)."""
+# A vehicle moves towards another lane at this sideways speed or more [m/s]. A slower one only wanders.
 DRIFTING = 0.3
-"""The sideways speed from which on a vehicle moves towards a different lane [m/s]; a slower vehicle only wanders."""
+# RECENT: a lane change counts until this long before the vehicles were in the same track [s]. SOON: an NPC that left
+# too little room shares the responsibility if the impact follows within this time [s].
 RECENT, SOON = 2.0, 6.0
-"""The time before the tracks met in which a vehicle moved into the other's lane, and the time before the impact in
-which an NPC that left too little room shares the responsibility [s]."""
+# BLOCKED: if an NPC cuts in with less headway than this [s] and brakes hard, an ego that slows down has one more
+# second. SLOWED: the loss of speed that counts as slowing down [m/s].
 BLOCKED, SLOWED = 0.3, 2.0
-"""The headway [s] below which a cut-in by an NPC that also brakes hard leaves an ego that slows down a second more, and
-the speed that an ego loses at least to have slowed down for a cut-in [m/s]."""
+# A vehicle ahead or behind with at most this gap is next to the one that changes lanes [m].
 NEXT_TO = 2.0
-"""The gap up to which a vehicle ahead or behind counts as next to one that changes lanes [m]."""
+# Braking is hard above this deceleration [m/s^2], since a careful driver needs no more to keep its distance, if it
+# continues for at least this time [s].
 HARD, HARD_SECONDS = 4.0, 0.4
-"""The deceleration above which braking is hard [m/s^2], because a careful driver needs no more to keep its distance,
-and the least time for which it lasts [s]."""
+# STANDING_SPEED: a vehicle is stationary up to this speed [m/s]. LONG: the time after which it has been stationary, or
+# has led in its new lane, for long [s].
 STANDING_SPEED, LONG = 0.1, 3.0
-"""The speed up to which a vehicle stands [m/s], and the time after which it has stood, or led in its new lane, for long
-[s]."""
+# A vehicle ahead is a reason to brake if it is closer than this, as a time to collision or at the ego's own speed [s].
+# Below the second number it always is [m].
 NEAR_SECONDS, STANDSTILL_GAP = 4.0, 5.0
-"""The time to collision, or at its own speed, in which a vehicle ahead is a reason to brake [s], and the gap below
-which it always is [m]."""
+# An NPC behind a needlessly braking ego caused the danger itself if it accelerates by more than this [m/s].
 DROVE_ON = 1.0
-"""The gain in speed above which an NPC behind an ego that had braked for nothing caused the danger itself [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,17 +96,14 @@ class Attribution:
     """The responsibility for a collision and what happened.
 
     Attributes:
-        responsibility: vehicles that are responsible for the collision.
-        tick, time: tick and time [s] at which the decisive lane change, braking or danger began; None without a
-            collision.
-        fault: fault of the ego; None if the ego is not responsible.
-        sentences: lines that say what happened, each one a measured fact; empty without a collision.
-        contested: fault of an ego that ran into an NPC and that the rules excuse for want of time, or that shares the
-            responsibility with an NPC that moved in: a careful driver can tell whether there was time. Otherwise None.
-        takeover: the latest takeover by which a careful driver has decided this [s before the impact]; 0 if none avoids
-            the collision, None if no careful driver was asked.
-        mistake: what the ego did wrong, in a few words; None if it is not responsible, and in the result of
-            :func:`rss_rule`, which does not ask for it.
+        responsibility: side that is responsible for the collision.
+        tick, time: tick and time [s] of the decisive lane change, braking or danger; None without a collision.
+        fault: rule that the ego broke; None if the ego is not responsible.
+        sentences: measured facts about what happened; empty without a collision.
+        contested: fault that depends on whether a careful driver had enough time; None if the rules decide.
+        takeover: latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none does,
+            None if unknown.
+        mistake: the ego's driving error; None if the ego is not responsible.
     """
 
     responsibility: Responsibility
@@ -123,7 +117,7 @@ class Attribution:
 
 
 class Ruling(NamedTuple):
-    """The result of a rule: who is responsible, for what fault, and for the text what a vehicle did at which tick."""
+    """The result of a rule, with the facts for its sentences."""
 
     responsibility: Responsibility
     tick: int
@@ -133,25 +127,28 @@ class Ruling(NamedTuple):
 
 
 def rss_rule(trace: Trace) -> Attribution:
-    """Attribute a collision by the five rules of docs/explanation/verdicts.md, which has their numbers and sources.
+    """Attribute a collision by the five rules of docs/explanation/verdicts.md.
 
-    Where the ways of ego and NPC meet, who did not give way is responsible. Who moves into the other's way without
-    leaving room is. Who is behind is, if an ordinary response would have avoided the collision. Who braked or stopped
-    for nothing is, together with the one behind if that one could have avoided it. Of two side by side, the one that
-    moved sideways is. The ego is always responsible for touching a fixed object.
+    1. At a junction, a vehicle that did not give way is responsible.
+    2. A vehicle that moves into another's path without leaving room is responsible.
+    3. A follower is responsible if an ordinary response would have avoided the collision.
+    4. A vehicle that brakes or stops without a reason is responsible. So is a follower that could have avoided it.
+    5. Side by side, the vehicle that moved sideways is responsible.
 
-    Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
-    arXiv:1708.06374 (distances, danger, proper response, right of way); UN Regulations No. 79 (lane changes) and No.
-    157 (numbers of a careful driver); Vienna Convention on Road Traffic, Art. 17 (braking for nothing) and 18.
+    An ego that touches a fixed object is always responsible.
+
+    Sources: Shalev-Shwartz, Shammah, Shashua, arXiv:1708.06374 (distances, proper response, right of way); UN
+    Regulations No. 79 (lane changes) and No. 157 (careful driver); Vienna Convention on Road Traffic, Art. 17 and 18.
     """
     hit, hz = trace.collision, trace.physics_hz
     if hit is None:
         return Attribution(responsibility="none", tick=None, time=None)
     npc = hit.npc
-    if npc is None:
+    if npc is None:  # a fixed object
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     found = Conflict(trace, npc).verdict if zone is None else _where_ways_meet(trace, npc, zone)
+    # The rules excuse an ego that ran into an NPC if it had no time. Whether it had can only be simulated.
     is_contested = hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
     return Attribution(
         responsibility=found.responsibility,
@@ -164,55 +161,45 @@ def rss_rule(trace: Trace) -> Attribution:
 
 
 def position_rule(trace: Trace) -> Responsibility:
-    """Attribute a collision by the NPC's position at the impact, as the released code of the paper's authors does.
+    """Attribute a collision by the NPC's position at the impact, as the code of the paper's authors does.
 
-    It is a second opinion. An ego at 0.1 m/s or less is never responsible. A faster ego is responsible if the NPC was
-    ahead of it, in cell 1, 2 or 3; otherwise the NPC is responsible. An NPC that was not on the ego's way is in no
-    cell; it counts as ahead if it hit the ego's front. The paper itself counts all collisions alike.
+    The ego is responsible if it moved and the NPC was ahead of it. Otherwise the NPC is responsible.
     """
     hit = trace.collision
     if hit is None or hit.npc is None:
         return "none" if hit is None else "ego"
+    # An NPC in no cell was not on the ego's path. It counts as ahead if it hit the ego's front.
     was_ahead = hit.side == "front" if hit.cell is None else hit.cell.row > 0
     return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # verdict, mistake and situation of one run need it in succession
 def frame_of(trace: Trace) -> RoadFrame:
-    """Return a run's positions and velocities along and across the road.
-
-    The last result is cached, because verdict, mistake and situation of a run all need it.
-    """
+    """Return a run's longitudinal and lateral positions and velocities."""
     return RoadFrame(trace)
 
 
 def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
-    """Return a vehicle's deceleration in the step before each tick [m/s^2], shape [ticks + 1].
-
-    Negative if the vehicle speeds up. Vehicle 0 is the ego.
-    """
+    """Return a vehicle's deceleration in the step before each tick [m/s^2], shape [ticks + 1]."""
     speed = trace.states[:, vehicle, SPEED]
     return -np.diff(speed, prepend=speed[:1]) * trace.physics_hz
 
 
 def room_to_leave(follower: float, mover: float) -> float:
-    """Return the gap that a vehicle has to leave to the vehicle behind when it enters a lane [m].
-
-    ``follower`` is the speed of the vehicle behind and ``mover`` the speed of the vehicle that enters [m/s].
-    """
+    """Return the gap to the vehicle behind that a lane change must leave [m], given both speeds [m/s]."""
     faster = max(follower - mover, 0.0)
     return max(faster * AFTER + faster**2 / (2 * GENTLY) + mover * DELAY, 0.0)
 
 
 class Conflict:
-    """The conflict of the ego (vehicle 0) and the NPC that it collided with, in a lane or side by side."""
+    """The conflict of the ego (vehicle 0) and the NPC that it hit, in a lane or side by side."""
 
     def __init__(self, trace: Trace, npc: int) -> None:
         self._trace, self._npc, self._frame = trace, npc + 1, frame_of(trace)
         self._end, self._hz, frame = trace.ticks, trace.physics_hz, self._frame
         self._ahead = frame.ahead[npc]  # of the NPC, from the ego
         self._gaps = np.abs(self._ahead) - frame.half_along[0] - frame.half_along[npc + 1]
-        self._met = last_stretch(frame.gap_across[:, npc] <= 0)  # from here to the impact they were in one track
+        self._met = last_stretch(frame.gap_across[:, npc] <= 0)  # from here to the impact they were in the same track
         self.danger = last_stretch(self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9))
         self._before = max(self.danger - 1, 0)  # the last safe tick; responses count from here
 
@@ -220,21 +207,21 @@ class Conflict:
     def verdict(self) -> Ruling:
         """The verdict by rules 2 to 5."""
         ego, npc = self._moved_in(0), self._moved_in(self._npc)
+        # Rule 2: a lane change counts unless the danger started only after the two were in the same track.
         if max(ego, npc) >= 0 and max(ego, npc, self._met) >= self.danger:
             return self._ego_moved_in(ego) if ego >= npc else self._npc_moved_in(npc)
+        # Rule 5: they were side by side when their tracks met.
         if max(ego, npc) < 0 and 0 < self._met >= self.danger and self._gaps[self._met] <= 0:
             return self._came_together()
+        # Rules 3 and 4: one followed the other.
         if self._ahead[self.danger] < 0:
             return self._npc_followed(0, Ruling("npc", self.danger, "close", self._npc))
         could = self._could_avoid(0, self._before, DELAY)
         return Ruling("ego" if could else "npc", self.danger, "close", 0, "leader-unanswered")
 
     def _moved_in(self, vehicle: int) -> int:
-        """Return the last tick at which a vehicle's box came over the line of the lane that the other is in; else -1.
-
-        The vehicle moves there with at least 0.3 m/s, and the other stays in its lane. It counts until 2 s before the
-        tracks met.
-        """
+        # The last tick at which the vehicle's box crossed the line of the other's lane, or -1. The other must stay in
+        # its lane, since otherwise the lines move and the vehicle does not.
         trace, end, other = self._trace, self._end, self._npc - vehicle
         tracks, lanes = trace.road.track, trace.states[:, other, LANE].astype(int)
         widths = np.array([lane.width for lane in trace.lanes])
@@ -247,12 +234,11 @@ class Conflict:
         return int(ticks[-1]) if ticks.size and ticks[-1] >= self._met - RECENT * self._hz else -1
 
     def _has_room(self, mover: int, tick: int) -> bool:
-        """Return whether a vehicle leaves room to the one behind at a tick."""
         behind, speed = self._frame.speed[self._npc - mover, tick], self._frame.speed[mover, tick]
         return bool(self._gaps[tick] >= room_to_leave(float(behind), float(speed)))
 
     def _ego_moved_in(self, tick: int) -> Ruling:
-        """Rule 2 for the ego: it is responsible, unless it left room, or has led for 3 s."""
+        # Rule 2 for the ego: it is responsible unless it left room, or led for long enough for the NPC to brake.
         moved, npc = Ruling("ego", tick, "moved", 0, "entered-lane"), self._npc
         if self._ahead[tick] >= 0:
             return moved
@@ -261,20 +247,23 @@ class Conflict:
         led = tick + round(LONG * self._hz)
         if self._could_avoid(npc, max(led, self._before), DELAY, later=False):
             return self._npc_followed(led, moved._replace(responsibility="npc"))
+        # It left too little room, but an NPC that could have braked anyway shares the responsibility.
         could = self._gaps[tick] >= NEXT_TO and self._could_avoid(npc, max(tick, self._before), DELAY)
         return moved._replace(responsibility="both" if could else "ego")
 
     def _npc_moved_in(self, tick: int) -> Ruling:
-        """Rule 2 for an NPC, and rule 3 for the ego behind that NPC."""
+        # Rule 2 for an NPC, and rule 3 for the ego behind it.
         gap, speed = self._gaps[tick], self._frame.speed[0]
         moved = Ruling("npc", tick, "moved", self._npc, "cut-in-unanswered")
         if gap > 0 and self._ahead[tick] < 0:
             return self._npc_followed(tick, moved, moved_in=True)
         since, is_blocked = tick, gap < BLOCKED * speed[tick] and bool(self._hard_brakings(self._npc, tick + 1))
         has_slowed = speed[self._end] < speed[tick] - SLOWED
+        # An NPC that cuts in very close and brakes hard gives an ego that slows down one more second.
         if is_blocked and has_slowed:
             since = tick + round(DELAY * self._hz)
         if not self._could_avoid(0, since, DELAY_AFTER_CUT_IN):
+            # No response would have helped. But an ego that had time to brake and did not shares the responsibility.
             if gap > 0 and not has_slowed and self._end - tick >= DELAY_AFTER_CUT_IN * self._hz:
                 return moved._replace(responsibility="both")
             return moved
@@ -282,11 +271,12 @@ class Conflict:
         return moved._replace(responsibility="both" if is_pushed else "ego")
 
     def _came_together(self) -> Ruling:
-        """Rule 5: side by side, who moved sideways into the other is responsible; else who is over its line."""
         tick, frame, npc = self._met, self._frame, self._npc
+        # Rule 5. Drifts are positive towards the other vehicle.
         side = 1.0 if frame.right[npc - 1, max(tick - 1, 0)] >= 0 else -1.0
         drifts = side * frame.drift[0, tick], -side * frame.drift[npc, tick]
         moves = [drift >= DRIFTING for drift in drifts]
+        # If neither moved sideways, the one over the line of its lane is responsible; if neither is, the NPC.
         if moves[0] == moves[1] and not moves[0]:
             tracks, lanes = self._trace.road.track[tick, :, OFFSET], self._trace.states[tick, :, LANE].astype(int)
             for index, (vehicle, way) in enumerate(((0, side), (npc, -side))):
@@ -298,17 +288,15 @@ class Conflict:
         return Ruling(who, tick, "sideways", 0 if moves[0] else npc, "entered-lane")
 
     def _could_avoid(self, behind: int, first: int, delay: float, *, later: bool = True) -> bool:
-        """Rule 3: return whether an ordinary response of the one behind, at a tick or later on, avoids the impact.
-
-        It drives as recorded, but no faster, until the delay is over [s], and then brakes with 6 m/s^2 while it is
-        faster than the other, which drives as recorded. At the impact, it must be further back than recorded by more
-        than the distance in which it loses what it is faster.
-        """
+        # Rule 3: would an ordinary response of the follower, at the first tick or, with `later`, at any tick after it,
+        # have avoided the impact? It drives as recorded, but no faster, until the delay is over [s]. Then it brakes at
+        # 6 m/s^2 while it is faster than the other vehicle, which drives as recorded.
         own, other, end = self._frame.speed[behind], self._frame.speed[self._npc - behind], self._end
         starts = np.arange(first, end if later else min(first + 1, end))
         starts = starts[(self._ahead[starts] < 0) if behind else (self._ahead[starts] > 0)]
         if not starts.size:
             return False
+        # All responses are simulated together, one element each: speed, and the distance behind the recorded position.
         speed, back = np.full(len(starts), own[first]), np.zeros(len(starts))
         due, step = starts + round(delay * self._hz), HARDEST / self._hz
         for tick in range(first, end):
@@ -316,18 +304,16 @@ class Conflict:
             braked = np.where(speed > other[tick], np.maximum(speed - step, 0.0), speed)
             driven = np.where(tick < starts, own[tick + 1], np.minimum(speed, own[tick + 1]))
             speed = np.where(tick + 1 >= due, braked, driven)
+        # At the impact it must be further back than the distance that it still needs to lose its excess speed.
         return bool((back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any())
 
     def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
-        """Return the first tick, and the tick after the last, of each hard braking of a vehicle from a tick on."""
+        # The first tick, and the tick after the last, of each; relative to `first`.
         found = stretches(braking(self._trace, vehicle)[first : self._end + 1] > HARD)
         return [(begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz]
 
     def _npc_followed(self, duty: int, found: Ruling, *, moved_in: bool = False) -> Ruling:
-        """Rule 4: the NPC behind is responsible, unless the ego braked or stopped for nothing.
-
-        ``duty`` is the tick from which on the NPC had to answer, and ``moved_in`` whether it moved in behind the ego.
-        """
+        # Rule 4. The NPC has to respond from the tick `duty`. One that moved in behind the ego chose its own distance.
         needless = self._needless
         if needless is None:
             return found
@@ -338,12 +324,8 @@ class Conflict:
 
     @cached_property
     def _needless(self) -> tuple[int, Fault] | None:
-        """The tick at which the ego began to brake or to stop for nothing, and the fault; None if it did not.
-
-        There are two kinds: hard braking, and a stop that has lasted for 3 s. The braking must have
-        lasted until 1 s before the danger or later, and there must be no reason from 1 s before it on.
-        The NPC must have been behind the ego then, and must not have sped up since.
-        """
+        # The tick at which needless braking or a needless stop started, and the fault. Candidates are hard brakings,
+        # and a stop of at least 3 s.
         speed, hz, end = self._trace.ego[:, SPEED], self._hz, self._end
         hard = self._hard_brakings(0)
         found: list[tuple[int, int, Fault]] = [(until - 1, begin - 1, "braked-for-nothing") for begin, until in hard]
@@ -353,10 +335,13 @@ class Conflict:
             found.append((stopped, last_stretch(slows), "stopped-for-nothing"))
         ahead, behind = self._frame.speed[[0, self._npc]]
         for until, begin, fault in sorted(found, key=lambda each: each[0], reverse=True):
+            # It must last until shortly before the danger, in front of an NPC, and the ego must be slower at the end.
             lasts = until == stopped or until >= self.danger - DELAY * hz
             lasts = lasts and self._ahead[begin] < 0 and ahead[end] < ahead[begin]
+            # An NPC that accelerated afterwards caused the danger itself.
             since = max(until, self._before)
             if lasts and behind[end] <= behind[since : end + 1].min() + DROVE_ON:
+                # A reason counts from a second before the braking starts until it can be called hard.
                 ticks = slice(max(begin - round(DELAY * hz), 0), min(begin + round(HARD_SECONDS * hz), end) + 1)
                 if not reasons(self._trace, ticks).any():
                     return begin, fault
@@ -364,22 +349,18 @@ class Conflict:
 
 
 def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Return whether anything ahead gave the ego a reason to brake, at each of the ticks.
-
-    There are four reasons. A vehicle ahead in the same track is closer than RSS allows, or less than four seconds from
-    a collision. A vehicle within four seconds of driving brakes hard in the same track, or moves in from the next lane.
-    An NPC's way meets the ego's way in a zone, and both are in the zone or within four seconds of it. The lane ends
-    within four seconds.
-    """
+    """Return at each of the ticks whether the ego had a reason to brake."""
     frame = frame_of(trace)
     speed, others = frame.speed[0, ticks], frame.speed[1:, ticks]
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
     along = np.abs(ahead) - frame.half_along[0, ticks] - frame.half_along[1:, ticks]
     across = np.abs(right) - frame.half_across[0, ticks] - frame.half_across[1:, ticks]
     slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
+    # A vehicle in the same track is too close by RSS, near a collision, or near and brakes hard.
     is_near, safe = along <= NEAR_SECONDS * speed, frame.safe_along(DISTANCES).T[:, ticks]
     is_close = (along < np.maximum(safe, STANDSTILL_GAP)) | (along < NEAR_SECONDS * (speed - others))
     is_close |= is_near & (slowed > HARD)
+    # A near vehicle moves in from the next lane.
     lane = trace.lanes[max(int(trace.states[ticks.stop - 1, 0, LANE]), 0)]
     towards = np.sign(right) * (frame.drift[0, ticks] - frame.drift[1:, ticks]) >= DRIFTING
     comes = (across > 0) & (across < lane.width) & towards & is_near
@@ -389,10 +370,12 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
         before = np.maximum(NEAR_SECONDS * speeds, STANDSTILL_GAP)
         return np.asarray((places < stretch[1]) & (stretch[0] - places <= before))
 
+    # The ego and a crossing NPC are both in their conflict zone, or near it.
     for npc, zone in enumerate(trace.zones):
         if zone is not None:
             own = nears(trace.track_of(0)[ticks, ALONG], trace.ego[ticks, SPEED], zone.ego)
             found |= own & nears(trace.way_of(npc)[ticks], trace.states[ticks, npc + 1, SPEED], zone.npc)
+    # The lane ends soon.
     finish = (lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading))
     finish = lane.points[-1] if lane.points else finish
     starts = [each.points[0] if each.points else (each.x, each.y) for each in trace.lanes]
@@ -402,15 +385,15 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
     return np.asarray(found)
 
 
-# Rule 1, right of way where the NPC's way meets the ego's. Sources: Shalev-Shwartz, Shammah, Shashua, definitions 15 to
-# 18, as ad-rss-lib has them; Vienna Convention on Road Traffic, Art. 1 and 18.
+# Rule 1, right of way at junctions. Sources: Shalev-Shwartz, Shammah, Shashua, definitions 15 to 18, as ad-rss-lib has
+# them; Vienna Convention on Road Traffic, Art. 1 and 18.
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
-    """Attribute a collision with a crossing NPC by right of way, or by the rules for two vehicles in one lane."""
     since, until = max(stretches(~np.isnan(trace.track_of(npc + 1)[:, ALONG])), default=(0, 0))
     lane = None
-    if until - since > 1 and until == trace.ticks + 1:  # it is on the ego's way at the impact
+    # If the NPC is on the ego's path at the impact, rules 2 to 5 can apply. They decide if the danger started there.
+    if until - since > 1 and until == trace.ticks + 1:
         part = {name: getattr(trace, name)[since:until] for name in ("states", "track", "on_way")}
         lane = Conflict(replace(trace, **part), npc)
         found = lane.verdict._replace(tick=lane.verdict.tick + since)
@@ -420,6 +403,7 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
     is_in_zone = ego.is_inside and other.is_inside
     has_merged = zone.kind == "merging" and lane is not None
     if ego.has_entered and other.has_entered and (is_in_zone or has_merged):
+        # The holder of the right of way never has to give way, but it must not drive into an occupied zone either.
         pairs = ((ego, other), (other, ego))
         holder = {"ego": ego, "npc": other}.get(zone.priority)
         owing = [own.vehicle for own, it in pairs if own is not holder and own.did_not_give_way(it)]
@@ -435,14 +419,14 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
 
 
 class Passing:
-    """A vehicle that approaches a zone along its way.
+    """A vehicle that approaches a conflict zone along its path.
 
     Attributes:
-        places: position of the vehicle along its way at each tick [m].
-        speeds: speed of the vehicle along its heading at each tick [m/s].
-        begins, ends: stretch of the vehicle's way in the zone [m].
+        places: position along the path at each tick [m].
+        speeds: speed at each tick [m/s].
+        begins, ends: section of the path in the zone [m].
         entry: tick at which the vehicle enters the zone, or the last tick.
-        has_entered: whether it has entered the zone and is not back before it at the last tick.
+        has_entered: whether it is in the zone or past it at the last tick.
     """
 
     def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
@@ -457,25 +441,19 @@ class Passing:
         self.is_inside = self.has_entered and bool(self.places[-1] <= self.ends)
 
     def _stops(self, before: int, place: float) -> int:
-        """Return the last tick, before another, at which an ordinary response stops the vehicle before a place [m].
-
-        It is -1 if the vehicle was always too fast.
-        """
+        # The last tick, before another, at which an ordinary response stops the vehicle short of a position [m].
         left, speeds = place - self.places[:before], self.speeds[:before]
         could = np.flatnonzero(left >= speeds * DELAY + speeds**2 / (2 * HARDEST))
         return int(could[-1]) if could.size else -1
 
     def _foreseen(self, tick: int, time: float) -> float:
-        """Return the vehicle's place [m] at a time [s] if it keeps the speed that it has at a tick."""
+        # The position [m] at a time [s], if the vehicle keeps its speed at the tick.
         speed = max(float(self.speeds[tick]), 0.0)
         return float(self.places[tick]) + (speed * (time - tick / self._hz) if speed else 0.0)
 
     def did_not_give_way(self, other: Passing) -> bool:
-        """Return whether the vehicle could foresee at its chance to stop that the other would be in the zone, or near.
-
-        Near is so near that the other would have to brake harder than 3 m/s^2, or, where ways merge, nearer than the
-        room that a lane change leaves, or than the safe distance.
-        """
+        """Return whether the vehicle should have stopped for the other, given what it could foresee."""
+        # Everything is foreseen at the last chance to stop before the zone.
         chance, hz, entry = max(self._stops(self.entry, self.begins), 0), self._hz, self.entry
         out, speed = np.flatnonzero(self.places[entry:] >= self.ends), float(self.speeds[-1])
         leaves = (entry + out[0]) / hz if out.size else math.inf
@@ -484,6 +462,8 @@ class Passing:
         place, faster = other._foreseen(chance, entry / hz), max(float(other.speeds[chance]), 0.0)
         if other._foreseen(chance, leaves) < other.begins:
             return False
+        # Crossing: the other would have to brake harder than GENTLY. Merging: it is nearer than a lane change may be to
+        # a vehicle behind, or than the safe distance to a vehicle ahead.
         if not self._merges:
             return other.begins - place < faster * DELAY + faster**2 / (2 * GENTLY) and place < other.ends
         lead = float((other.ends - place) - (self.ends - self.places[entry]))
@@ -493,10 +473,8 @@ class Passing:
         return gap < float(DISTANCES.safe_along(own, np.asarray(faster), DELAY))
 
     def saw_it_taken(self, other: Passing) -> bool:
-        """Return whether the vehicle drove in although it could still stop short of the other, which stayed there.
-
-        Where ways merge, it could still slow down to the speed of the other, which had merged ahead.
-        """
+        """Return whether the vehicle entered although it could still stop, or slow down, for the other one."""
+        # Merging: could it still slow down to the speed of the other, which had merged ahead of it?
         if self._merges:
             ticks = np.arange(other.entry, self.entry)
             lead = self.ends - self.places[ticks] - (other.ends - other.places[ticks])
@@ -504,6 +482,7 @@ class Passing:
             faster = np.maximum(self.speeds[ticks] - lowest, 0.0)
             room = faster * DELAY + faster**2 / (2 * HARDEST)
             return bool(((lead > 0) & (lead - self.half_length - other.half_length >= room)).any())
+        # Crossing: could it still stop before it touched the other at its final position?
         poses = self._trace.states[:, self.vehicle], self._trace.states[-1:, other.vehicle]
         mine, its = (
             Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])

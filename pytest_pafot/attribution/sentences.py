@@ -1,7 +1,4 @@
-"""The sentences that explain a verdict: measured facts about the last seconds, which decide nothing.
-
-No other module has such sentences.
-"""
+"""The sentences that explain a verdict."""
 
 from __future__ import annotations
 
@@ -20,32 +17,28 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace
 from pytest_pafot.support.text import capitalised, listed
 
+# What happened at the decisive tick: a vehicle moved into the other's lane, came too close, moved sideways into the
+# other, braked or stopped without a reason, entered a conflict zone, or touched the other outside the zone.
 Happened = Literal["moved", "close", "sideways", "braked", "stopped", "entered", "elsewhere"]
-"""What happened at the tick that decides: a vehicle moved into the other's lane, came too close, or moved sideways into
-the other, braked or stopped for nothing, entered a zone where the ways meet, or touched the other elsewhere."""
 
+# Who is responsible, as headlines and the report page say it.
 AT_FAULT: Mapping[str, str] = MappingProxyType(
-    {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "nobody at fault"}
+    {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "neither at fault"}
 )
-"""Who is responsible for a collision, in the words of headlines and of the report page."""
+ALSO = "There was also a collision in this run."
+"""The sentence in front of a collision's headline, if the run failed for another reason."""
 STOOD = "stood still"
-"""What a vehicle did whose speed was 0 m/s."""
+# BRAKES: smallest deceleration that sentences call braking [m/s^2]. TOLD: they cover at least this time before the
+# impact [s]. PHASES: the largest number of phases of a vehicle's speed that they list, the last ones.
 BRAKES, TOLD, PHASES = 0.5, 2.0, 3
-"""The least deceleration that counts as braking in the sentences [m/s^2], the least time before the impact that they
-tell [s], and the largest number of parts of that time that they tell of a vehicle, the last ones."""
+# LOST: a smaller change of speed is a twitch of a controller [m/s]. In 776 runs on straight roads, NPCs that kept lane
+# and speed never braked. In 700 runs on curved roads they lost either less than 0.16 m/s or, for a bend, more than 0.2
+# m/s. SAME: up to this change, a vehicle has kept its speed [m/s].
 LOST, SAME = 0.2, 0.05
-"""The least loss of speed that counts as braking, and the least gain that counts as speeding up [m/s]; less is a twitch
-of a controller. In 776 runs on straight roads, NPCs that kept lane and speed never braked. In 700 on bent roads, they
-lost less than 0.16 m/s, or more than 0.2 m/s for a bend, and hardly ever anything between. Up to the second number, a
-vehicle has kept its speed."""
 
 
 def responsible_sentence(responsibility: str, npc: int | None, takeover: float | None = None) -> str:
-    """Return who is responsible for a collision with an NPC, or with a fixed object (None), and until when it avoids.
-
-    ``takeover`` is the latest takeover by a careful driver that avoids it, if it is known
-    (:mod:`pytest_pafot.attribution.takeovers`).
-    """
+    """Return the sentence on who is responsible, and on the latest takeover [s before the impact]."""
     if npc is None:
         return "The ego is responsible, because a fixed object does not move."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}
@@ -63,17 +56,16 @@ def impact(
     closing: float | None = None,
     way: str = "",
 ) -> str:
-    """Return who hit whom, when [s] and how fast [m/s], in the words of all headlines.
+    """Return who hit whom, when and how fast, as all headlines say it.
 
     Args:
         time: time of the impact [s].
         npc: the NPC; None for a fixed object.
-        side: side of the ego that was hit; None if that is unknown.
-        cell: cell of the NPC at the impact; None if it crossed the ego's way, or if that is unknown.
-        whence: where an NPC that crosses comes from, such as ``from the left``; empty for any other.
-        closing: closing speed [m/s]; None if that is unknown.
-        way: ``along`` for an NPC that drives in the ego's direction, ``towards`` for one that comes towards it,
-            ``backwards`` if the ego drives so; empty if that is unknown.
+        side: side of the ego that was hit.
+        cell: cell of the NPC at the impact; None if it crossed the ego's path.
+        whence: side from which a crossing NPC came, such as ``from the left``.
+        closing: closing speed [m/s].
+        way: direction of the NPC, ``along`` or ``towards``; ``backwards`` if the ego reversed.
     """
     when = f"after {time:.1f} s" + ("" if closing is None else f", closing at {closing:.1f} m/s")
     if npc is None:
@@ -96,11 +88,8 @@ def impact(
 def sentences_on(
     trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
 ) -> tuple[str, ...]:
-    """Return the sentences on a collision with an NPC: what happened at a tick, by a vehicle, and what both did.
-
-    That they came too close is no sentence of its own. The last two are on the NPC and on the ego, one each: where the
-    NPC was at the tick, or two seconds before the impact if that is earlier, and what each did since.
-    """
+    """Return the sentences on a collision: the decisive event, then one each on the NPC and the ego."""
+    # First the decisive event, unless it is only that they came too close, which the other sentences show.
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
     (who, whom), at = (_name(vehicle), _name(other)), f"{tick / hz:.1f} s"
     ahead, half = frame.ahead[npc], frame.half_lengths(npc)
@@ -119,31 +108,32 @@ def sentences_on(
         case "sideways":
             told = [f"{who} moved sideways at {at} into {whom}, which was next to it."]
         case "braked":
-            told = [f"{who} braked from {at} on with nothing in its way."]
+            told = [f"{who} braked from {at} with nothing in its way."]
         case "stopped":
-            stood = end - int(np.flatnonzero(np.append(-1.0, trace.ego[:, SPEED])[: end + 2] > 0.1)[-1])
-            told = [f"{who} stopped from {at} on with nothing in its way, and stood for {stood / hz:.1f} s."]
+            stood = (end - int(np.flatnonzero(np.append(-1.0, trace.ego[:, SPEED])[: end + 2] > 0.1)[-1])) / hz
+            told = [f"{who} slowed to a stop from {at} with nothing in its way, and stood still for {stood:.1f} s."]
         case "entered":
             told = _entered(trace, npc, trace.zones[npc])
         case "elsewhere":
-            told = [f"{who} touched {whom} at {at}, outside the zone where their ways meet."]
+            told = [f"{who} touched {whom} at {at}, outside the zone where their paths cross."]
     since = max(min(tick, end - round(TOLD * hz)), 0)
-    # The places of two vehicles whose ways meet are not along one road, and one off the ego's way has none on it.
+    # Then the NPC. Its position relative to the ego is omitted if the paths cross, if the first sentence has it, or if
+    # the NPC is not on the ego's path.
     crosses = bool(trace.zones and trace.zones[npc])
     is_told = crosses or (happened, since) == ("moved", tick) or bool(np.isnan(ahead[since]))
     towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
-    # Its lane is told if it is not the ego's, and again if it left it.
+    # Its lane is named if it is not the ego's, and again if it left that lane.
     then, last = (int(each) for each in trace.road.numbers(npc + 1)[[since, end]])
     in_lane = f"in lane {then}, " if then not in (-1, int(trace.road.numbers(0)[since])) else ""
     has_left = happened != "moved" and -1 not in (then, last) and then != last
     left = f", and was in lane {last} at the impact" if has_left else ""
     spot = f"{in_lane}{place(float(ahead[since]), 'the ego', since)}{towards}"
     where = "" if is_told else f", {spot} at {since / hz:.1f} s,"
-    # One that was behind the ego could have braked for it.
+    # Only an NPC behind the ego could have braked for it.
     is_ahead = crosses or bool(ahead[since] > 0)
     deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
     told.append(f"{_name(npc + 1)}{where} {deed}{left}.")
-    # How late the ego braked is the distance to a vehicle that was ahead of it in its track.
+    # Then the ego. How late it braked shows in the distance to a vehicle ahead of it in its track.
     gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
     told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, _name(npc + 1))}.")
     return tuple(capitalised(sentence) for sentence in told)
@@ -154,7 +144,6 @@ def _name(vehicle: int) -> str:
 
 
 def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
-    """Return when the two entered the zone where their ways meet, and which of them had priority."""
     if zone is None:
         return []
     times = []
@@ -176,22 +165,17 @@ def _deed(
     is_ahead: bool = False,
     is_told: bool = False,
 ) -> str:
-    """Return how a vehicle's speed changed from a tick up to the impact: when it braked, and when it sped up.
-
-    Of a vehicle with ``gaps`` to the one ahead of it [m], the text says how hard it braked, and how far behind that one
-    it began to. That a vehicle did not brake is left out of one that ``is_ahead``; with ``is_told``, the time of the
-    tick is.
-    """
+    # How the speed changed up to the impact, phase by phase. With `gaps` to a leader [m], braking is measured.
     part, told, has_braked = np.maximum(speeds[since:], 0.0), list[str](), False
     for begin, end in pairwise([*_turns(part), len(part) - 1]):
         change = float(part[end] - part[begin])
         if not abs(change) >= LOST:  # nor if it is not a number
             continue
-        # It may have kept its speed at first, for long enough to be told.
+        # It may have kept its speed at first, for long enough to be mentioned.
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin
-        when = f" from {(since + first) / hz:.1f} s on" if first else ""
+        when = f" from {(since + first) / hz:.1f} s" if first else ""
         told += [_kept(part[0])] if first and not told else []
         hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
         is_braking = change < 0 and hardest >= BRAKES
@@ -202,13 +186,13 @@ def _deed(
         has_braked |= is_braking
         how = "braked" if is_braking else "slowed" if change < 0 else "sped up"
         told.append(f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{when}")
-    then = f" from {since / hz:.1f} s on" if gaps is not None or not is_told else ""
+    then = f"{since / hz:.1f} s" if gaps is not None or not is_told else ""
     if speeds[-1] < -SAME:
         return listed([*told[-PHASES:], f"drove backwards at {-speeds[-1]:.1f} m/s"])
     if not told and _kept(part[-1]) == STOOD:
-        return STOOD if is_ahead else f"{STOOD}{then}"
+        return STOOD if is_ahead or not then else f"{STOOD} from {then}"
     told = told[-PHASES:] or [_kept(part[-1])]
-    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then}"])])
+    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then and f' after {then}'}"])])
 
 
 def _kept(speed: float) -> str:
@@ -216,9 +200,9 @@ def _kept(speed: float) -> str:
 
 
 def _turns(speeds: FloatArray) -> list[int]:
-    """Return the first tick, and those at which a vehicle's speed begins to rise or fall, by 0.2 m/s at least."""
+    # Tick 0, and the ticks at which the speed starts to rise or fall by at least LOST.
     turns, low, high, way = [0], 0, 0, 0
-    # Single values are read from a list, since reading them from an array takes long.
+    # Single values are read from a list, because reading them from an array is slow.
     for tick, speed in enumerate(values := speeds.tolist()):
         low, high = (tick if speed < values[low] else low), (tick if speed > values[high] else high)
         if way >= 0 and values[high] - speed >= LOST:

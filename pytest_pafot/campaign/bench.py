@@ -1,4 +1,5 @@
-"""The bench of one search, on which its scenarios are run and judged: processes, limits, and records of crashes."""
+"""Running and evaluating the scenarios of one search."""
+# Processes, limits, and records of crashes are here.
 
 from __future__ import annotations
 
@@ -27,16 +28,15 @@ from pytest_pafot.support.process import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
 
-JUDGED_OTHERWISE = "the same run was judged otherwise when it was made again"
-"""What differs if the runs are the same, and only the test function decides otherwise."""
+# What differs if the runs are the same, and only the test function decides differently.
+JUDGED_OTHERWISE = "the same run got a different verdict when it was repeated"
 
 
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """The bench of one search, which runs and judges its scenarios.
+    """What runs and evaluates the scenarios of one search."""
 
-    Until a run is judged, its scenario is on disk in the crash record of this process.
-    """
+    # Until a run is evaluated, its scenario is on disk in the crash record of this process.
 
     harness: Harness
     runner: Here
@@ -45,31 +45,26 @@ class Bench:
     driver: Driver | None = None  # how other processes drive chunks; None if they cannot
     examiner: Examiner  # examines the runs of the search that no other process has examined
     clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
-    decisions_beside: int = 0  # number of decisions of the ADS beside runs
+    decisions_beside: int = 0  # number of decisions of the ADS next to runs
     refining_end: float = math.inf  # the time at which the work on findings ends [s]
     refining_most: float = math.inf  # the most decisions of the ADS for which the work on findings may ask
-    asked: int = 0  # the number of decisions for which it has asked; the same for any number of processes
-    is_at_limit: bool = False  # True if that work would have asked for more
+    asked: int = 0  # the number of decisions that it has requested; the same for any number of processes
+    is_at_limit: bool = False  # True if that work would have requested more
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
 
     @property
     def decisions(self) -> int:
-        """The number of decisions that the ADS has made so far in further runs, except to confirm findings."""
+        """The decisions of the ADS in further runs, except to confirm findings."""
         return self.decisions_beside + self.runner.decisions - self.confirm_decisions
 
     def results(
         self, scenarios: Iterable[Scenario], state: State, skips: Callable[[Scenario], bool]
     ) -> Iterator[Result | LostRun]:
-        """Yield the results of scenarios in their order; other processes may have made the runs.
-
-        If one fails in a way that is not known by then, the reference is run in the scenario, too. For ``skips`` see
-        :meth:`.Here.results`.
-
-        Raises:
-            RequestError, OutOfTime: as for :meth:`run`.
-        """
+        """Yield the results of scenarios in order."""
+        # Other processes may make the runs.
+        # If a run fails in a way that is not yet known, the reference is run in the scenario, too.
         __tracebackhide__ = True
         runs = self.runner.results(scenarios, skips)
         while (result := self._next(runs, state)) is not None:
@@ -89,15 +84,14 @@ class Bench:
         return result
 
     def run(self, scenario: Scenario, *, most: int | None = None) -> Run:
-        """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
-
-        For ``most`` see :meth:`.Here.once`.
+        """Run a scenario, after which the caller must call :meth:`finish`.
 
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
-            RequestError: for a world, factory or scenario that does not fit.
-            OutOfTime: if the time of the search is over.
+            RequestError: if the world, the factory or the scenario cannot be used.
+            OutOfTime: if the time of the search has run out.
         """
+        # `finish` also clears the crash record.
         __tracebackhide__ = True
         with self._recorded(), refusals():
             trace = self.runner.once(scenario, most=most)
@@ -105,10 +99,8 @@ class Bench:
         return self.harness.run_of(trace)
 
     def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
-        """Judge the last run, and clear its crash record.
-
-        If it fails, the reference is run in ``scenario``, by default in the run's scenario.
-        """
+        """Evaluate the last run, and clear its crash record."""
+        # If it fails, the reference is run in `scenario`, by default in the run's scenario.
         __tracebackhide__ = True
         with self._recorded():
             verdict = self.harness.judge(run)
@@ -118,7 +110,7 @@ class Bench:
         return verdict
 
     def is_common(self, scenario: Scenario) -> bool:
-        """Return whether a failure in a scenario does not count, because the reference does not pass it either."""
+        """Return whether the reference does not pass the scenario either."""
         __tracebackhide__ = True
         if self.reference is None:
             return False
@@ -127,7 +119,6 @@ class Bench:
         return not verdict.passes
 
     def rerun(self, scenario: Scenario) -> Run:
-        """Run a scenario from scratch, without a verdict."""
         __tracebackhide__ = True
         run = self.run(scenario)
         self.record.clear()
@@ -135,12 +126,12 @@ class Bench:
 
     @REPLACED.shown(False)
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
-        """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
+        """Run a scenario in highway-env's own environment, if there is one."""
         __tracebackhide__ = True
         world = self.harness.world
         if not world.replays_in_gym:
             return None
-        # highway-env is imported before the run, in which a test's own functions are in the place of Python's.
+        # Highway-env is imported before the run, in which a test's own functions are in the place of Python's.
         from pytest_pafot.world.engines import gym_replay  # noqa: F401, PLC0415  (slow to import)
 
         with self._recorded(), refusals():
@@ -152,16 +143,17 @@ class Bench:
     def confirm(
         self, scenario: Scenario, expected: Trace | None, found: Signature | None = None
     ) -> tuple[Run | None, Verdict | None, str | None]:
-        """Drive the scenario of a failure again, also in highway-env's own environment; measure how long that takes.
+        """Run the scenario of a failure again, also in highway-env's own environment.
 
         Args:
-            scenario: the scenario as it was driven.
-            expected: the run that failed, which repeats to the last bit; None if wall-clock time decides.
-            found: the signature of the failure; None if the run need not be judged.
+            scenario: the scenario as executed.
+            expected: the failing run, which repeats to the last bit; None if wall-clock time decides.
+            found: the signature of the failure; None to omit the verdict.
 
-        Return the run, None if it does not show the failure; the verdict on it, None if it was not judged; and what
-        differs from the first run, empty if nothing does, None if no time was left to tell.
+        Return the run, its verdict, and what differs from the first run.
         """
+        # The run is None if it does not show the failure. The difference is empty if there is none, and None if no time
+        # was left to check. The time of this run is measured, too.
         began, before, seconds_of_run = self.clock(), self.runner.decisions, 1.0
         run = verdict = None
         differs: str | None = ""
@@ -178,7 +170,7 @@ class Bench:
                 if expected is not None and (changed := first_difference(expected, again.trace)):
                     differs = f"{NOT_REPEATED}: {changed}"
                 elif expected is not None:
-                    differs = JUDGED_OTHERWISE if run is None else self._told(_difference_in_gym(again, self))
+                    differs = JUDGED_OTHERWISE if run is None else self._in_words(_difference_in_gym(again, self))
         except ProcessLostError as error:
             differs = f"the process that ran it again {error.end}"
         except OutOfTime:
@@ -189,15 +181,16 @@ class Bench:
         self.pace = max(self.pace, seconds / seconds_of_run)
         return run, verdict, differs
 
-    def _told(self, difference: str) -> str:
-        """Return what differs in highway-env's own environment, with its likely cause; empty if nothing does."""
+    def _in_words(self, difference: str) -> str:
+        # What differs in highway-env's own environment, with the likely cause.
         cause = "" if self.harness.policy.drives_itself else left_out_text(self.harness.world)
         told = "; ".join(filter(None, [difference, cause]))
         return f"in highway-env's own environment: {told}" if difference else ""
 
     @contextmanager
     def _recorded(self) -> Iterator[None]:
-        """Clear the crash record of a run that the time limit ends, because no process died in it."""
+        """Clear the crash record if the time limit ends the run."""
+        # No process died in it.
         __tracebackhide__ = True
         try:
             yield
@@ -207,7 +200,7 @@ class Bench:
 
 
 def left_out_text(world: BaseWorld) -> str:
-    """Return a sentence on the environment's own methods that runs do not call, though they matter; or empty."""
+    """Return a sentence on relevant methods of the environment that runs skip."""
     methods = world.left_out
     if not methods:
         return ""
@@ -220,7 +213,7 @@ def left_out_text(world: BaseWorld) -> str:
 
 
 def _difference_in_gym(run: Run, bench: Bench) -> str:
-    """Return how a run ends otherwise in highway-env's own environment, if the world has it; or empty."""
+    # If the world has an environment of highway-env, the run must end there in the same way.
     try:
         other = bench.rerun_in_gym(run.scenario)
         return "" if other is None else disagreement(run, other)

@@ -1,4 +1,4 @@
-"""The events of a search that its algorithm does not emit; its own are in :mod:`pytest_pafot.searching.evaluation`."""
+"""The events of a search, other than those of its algorithm."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Progress:
     runs: int
     failing: int  # runs in which the test failed
     finds: int  # distinct new findings
-    seconds: float  # since the search began
+    seconds: float  # since the search started
     budget: int | None = None  # requested runs
     left: float = 0.0  # the time that the runs take that are left, without what confirms findings [s]; 0 if unknown
     decision_seconds: float = 0.0  # the mean time of a decision in these runs; 0 if unknown
@@ -40,16 +40,15 @@ class Progress:
     of: str = ""  # the id of the finding that this work is about
 
 
+# The kinds of verdicts on runs that say nothing about the policy.
 UNTESTED = ("invalid", "rejected", "skipped")
-"""The kinds of verdicts on runs that say nothing about the policy."""
-KINDS = ("passed", "failed", "npc", "common", *UNTESTED)
-"""All kinds of verdicts."""
+KINDS = ("passed", "failed", "npc", "common", *UNTESTED)  # all kinds of verdicts
 
 
 class Ending(StrEnum):
-    """The reason why a search ended, as summaries and results name it."""
+    """The reason why a search ended."""
 
-    UNKNOWN = ""  # it did not begin, its process died, or a decision of the ADS could not be interrupted
+    UNKNOWN = ""  # it did not start, its process died, or a decision of the ADS could not be interrupted
     GENERATIONS = "all generations done"
     RUNS = "all runs done"
     MAX_TIME = flag("max_time")
@@ -60,7 +59,7 @@ class Ending(StrEnum):
 
     @property
     def is_complete(self) -> bool:
-        """True if the search made all runs for which it was asked."""
+        """True if the search made all requested runs."""
         return self in (Ending.GENERATIONS, Ending.RUNS)
 
     @property
@@ -70,80 +69,72 @@ class Ending(StrEnum):
 
     @property
     def after_ended(self) -> str:
-        """The words that follow "ended" on a page."""
         return "early" if self is Ending.UNKNOWN else "with an error" if self is Ending.ERROR else str(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paired:
-    """The random scenarios that a policy and its reference both drove.
+    """The random scenarios that the policy and its reference both ran."""
 
-    Attributes:
-        runs: the number of these scenarios.
-        only_new: the number of those in which only the new policy failed.
-        only_reference: the number of those in which only the reference failed.
-        most: the number that was to be driven if it did not become clear before.
-    """
-
-    runs: int = 0
-    only_new: int = 0
-    only_reference: int = 0
-    most: int
+    runs: int = 0  # number of these scenarios
+    only_new: int = 0  # number of those in which only the new policy failed
+    only_reference: int = 0  # number of those in which only the reference failed
+    most: int  # number to run unless the result is clear earlier
 
     @property
     def is_worse(self) -> bool | None:
-        """True if the new policy fails more often; None if these scenarios do not tell."""
+        """True if the new policy fails more often, or None if that is unclear."""
         return hits_more(self.only_new, self.only_reference, is_last=self.runs >= self.most)
 
     @property
     def is_cut(self) -> bool:
-        """True if the time was over before it was clear."""
+        """True if the time ran out before the result was clear."""
         return self.is_worse is None and self.runs < self.most
 
     def with_run(self, *, new: bool, old: bool) -> Paired:
-        """Return the counts with one more scenario, in which only the new policy failed, or only the old one."""
+        """Return the counts with one more scenario."""
         only_new, only_reference = self.only_new + new, self.only_reference + old
         return replace(self, runs=self.runs + 1, only_new=only_new, only_reference=only_reference)
 
     def __str__(self) -> str:
-        cut = ", where the time was over" if self.is_cut else ""
+        cut = " before the time ran out" if self.is_cut else ""
         counts = f"{self.only_new} fail only now, {self.only_reference} only before"
         return f"of {plural(self.runs, 'random scenario')}{cut}, {counts}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """A search. Without a reason for its end it has only started, or could not start because its item failed.
+    """A search. Without a reason for its end it has only started, or could not start.
 
-    Programs read what is described here, and `result`, `message`, `runs` and `failing`; the terminal also the last two
-    fields.
+    Programs read these fields, and `result`, `message`, `runs` and `failing`.
 
     Attributes:
-        node_id: of its item, as for a finding.
-        reason: [Why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
-        algorithm: its name.
-        base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
-        generations: their number; one that a limit of time or findings cut is not counted.
-        asked: `generations` and `runs` after which it ends, if they were requested.
-        kinds, outcomes, responsibilities: runs by the verdict, by how they ended, and by who was responsible; each adds
-            up to all runs. Verdicts are as in [the summary](items.md#the-summary-and-the-health-of-a-search): `failed`,
-            `npc` if only an NPC is responsible, `common` if the reference fails, too, `invalid`, `rejected`, `skipped`,
-            or `passed`.
-        more_runs: further runs: to `shrink` findings, to find the `moment`, and `known` scenarios not run again.
-        decisions: of the policy: in the `search`, to `confirm` findings, to `shrink` them, and for the `moment`.
-        random: random scenarios at the beginning: `at_fault`, failing in a collision by the ego's fault; failing
-            `otherwise`; of the latter by `checks`; and all `runs` that are valid and not rejected. Empty if the search
+        node_id: node id of the item, as for a finding.
+        reason: why the search ended; empty if it did not start, or ended early.
+        algorithm: name of the algorithm.
+        base_seed, seed: the value of `--pafot-seed` that repeats the search, and the seed of the search.
+        generations: number of complete generations.
+        asked: `generations` and `runs` after which the search ends, if they were requested.
+        kinds, outcomes, responsibilities: runs by verdict, by how they ended, and by who was responsible. Each adds
+            up to all runs. Verdicts are `failed`, `npc` if only an NPC is responsible, `common` if the reference fails,
+            too, `invalid`, `rejected`, `skipped`, or `passed`.
+        more_runs: additional runs: to `shrink` findings, to find the `moment`, and `known` scenarios not run again.
+        decisions: decisions of the policy: in the `search`, to `confirm` findings, to `shrink` them, and for the
+            `moment`.
+        random: the random scenarios at the start: `at_fault`, in which the ego caused a collision; failing
+            `otherwise`; the latter by `checks`; and all `runs` that are valid and not rejected. Empty if the search
             broke off before they were done.
-        no_interaction, reached: runs without interaction; share of instructions that were reached, null if unknown.
-        finds: ids of its new findings.
+        no_interaction, reached: number of runs without interaction; fraction of instructions that were reached,
+            null if unknown.
+        finds: ids of new findings.
         known: failing runs by id of the saved scenario with their failure.
-        failures: the failures that it showed, each with the `id` of a finding, saved or new, and its `signature`.
+        failures: the failures that occurred, each with the `id` of a finding, saved or new, and the `signature`.
         drawn: a line on the range of scenarios.
         against: the reference; empty without one.
-        paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
-            in how many only one failed. Null if there was nothing to decide.
-        no_worse: headlines by id of new findings that do not count, because the reference fails as often.
-        warnings, notes: on its health, and other remarks.
+        paired: `runs`, the number of random scenarios that both policies ran, at most `most`; `only_new` and
+            `only_reference`, in how many only one failed. Null if no comparison was needed.
+        no_worse: headlines, by id, of new findings that do not count, because the reference fails as often.
+        warnings, notes: warnings about the health of the search, and other notes.
     """
 
     node_id: str
@@ -170,7 +161,7 @@ class Search:
     no_worse: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    # for the terminal alone, because they differ between machines and numbers of workers
+    # For the terminal alone, because they differ between machines and numbers of workers.
     seconds: float = 0.0
     process_notes: tuple[str, ...] = ()  # how many processes were used, and which died
 
@@ -192,20 +183,20 @@ class Search:
 
     @property
     def compared(self) -> str:
-        """The line on what random scenarios say of the policy and its reference; empty if nothing was to be decided."""
+        """The line that compares policy and reference, or an empty string."""
         if self.paired is None:
             return ""
         if self.paired.is_worse:
             how = f"worse than {self.against}"
         elif self.finds:
-            how = f"random scenarios do not tell {self.against} and the new policy apart"
+            how = f"random scenarios do not show whether the new policy is worse than {self.against}"
         else:
             how = f"no worse than {self.against}"
         return f"{how}: {self.paired}"
 
     @property
     def tested(self) -> int:
-        """The number of runs that were judged, if the search ran to its end; otherwise 0."""
+        """The number of evaluated runs of a complete search, otherwise 0."""
         untested = sum(self.kinds[kind] for kind in UNTESTED)
         return self.runs - untested if self.reason.is_complete else 0
 
@@ -216,10 +207,8 @@ def by_test(searches: Iterable[Search]) -> dict[str, Search]:
 
 
 def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
-    """Return a replay with what the search of its test says about it, which another process may have run.
-
-    ``searches`` are the searches of this session by node id of their tests.
-    """
+    """Return a replay with what the search of the test says about it."""
+    # Another process may have run that search.
     search, now = searches.get(replay.test), replay.observed
     if search is None or replay.label != "passes":
         return replay
@@ -231,25 +220,20 @@ def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchStarted:
-    """The beginning of a search.
+    """The start of a search."""
 
-    Attributes:
-        node_id: the node id of its item.
-        seed: the seed of the search.
-    """
-
-    node_id: str
-    seed: int
+    node_id: str  # node id of the item
+    seed: int  # seed of the search
 
 
 SearchEvent = SearchStarted | Seen | Progress | Search | Event
 
+# A function that receives the events of a search, one by one in their order.
 Listener = Callable[[SearchEvent], None]
-"""A function that receives the events of a search, one by one in their order."""
 
 
 class Phase(NamedTuple):
-    """The work that goes on after the runs of a search, and the id of the finding that it is about."""
+    """The work after the runs of a search, and the finding that it is about."""
 
     text: str
     of: str = ""
@@ -257,7 +241,9 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A text for the end of the session; of an item whose policy cannot be compared, its node id."""
+    """A text for the end of the session."""
+
+    # With a node id, the item has a policy that cannot be compared.
 
     text: str
     kind: Literal["note", "warning", "incomparable"] = "note"
@@ -265,5 +251,5 @@ class Note:
 
 ResultT = TypeVar("ResultT")
 
+# A part of the work after the runs of a search: it yields what becomes of the findings, and returns a result.
 Refining = Generator[SearchEvent | Phase | Note, None, ResultT]
-"""A part of the work after the runs of a search: it yields what becomes of the findings, and returns a result."""

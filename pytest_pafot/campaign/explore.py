@@ -1,4 +1,4 @@
-"""Searches without pytest: ``@pafot.search`` as one function, for scripts and comparisons."""
+"""Searches without pytest, for scripts and comparisons."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ PLACE = "pafot.explore"
 
 
 class ExploreArguments(CommonArguments, total=False):
-    """The types of the settings of :func:`explore`; the last ones are options of a session, since it has none."""
+    """The types of the settings of :func:`explore`."""
+
+    # The last ones are options of a session, since a script has none.
 
     corpus: str | os.PathLike[str]
     max_time: float | None
@@ -64,9 +66,8 @@ class Exploration:
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, warnings, notes.
-        events: the events of the algorithm and of the search in their order.
-        runs: a row for each scenario that was tried, with the columns of ``run_table.COLUMNS``, ready for
-            ``pandas.DataFrame(...)``.
+        events: the events of the algorithm and of the search in order.
+        runs: a row for each scenario, with the columns of ``run_table.COLUMNS``, for ``pandas.DataFrame(...)``.
     """
 
     findings: tuple[Finding, ...]
@@ -76,7 +77,7 @@ class Exploration:
 
     @property
     def sightings(self) -> tuple[Seen, ...]:
-        """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
+        """The last event of each finding, in the order of discovery."""
         last = {event.finding.id: event for event in self.events if isinstance(event, Seen)}
         return tuple(last[finding.id] for finding in self.findings)
 
@@ -95,30 +96,28 @@ def explore(
 ) -> Exploration:
     """Search for scenarios in which a property fails, without pytest.
 
-    With the node id, the base seed and the arguments of a test, the search has the findings of the test, and its files
-    are identical.
+    With the node id, the base seed and the arguments of a test, the search has the findings of the test.
 
     Args:
-        ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle class.
-        holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
-            function. With several workers, it is called in the processes that make the runs.
-        world: the world, such as ``pafot.World("highway-v0")``, or the name of one, such as ``"module:factory"``; by
-            default ``pafot.Highway()``.
-        runs: the number of runs after which the search ends; 100 if ``generations`` is not given.
-        generations: the number of generations after which the search ends; by default of the paper's algorithm.
-        seed: the base seed; the seed of the search is derived from it and the node id.
-        node_id: the node id of the corresponding test, without ``[search]``; by default a name made from ``holds``.
-        on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
+        ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle
+            class.
+        holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a
+            test function. With several workers, it is called in their processes.
+        world: the world, such as ``pafot.World("highway-v0")``, or a name such as ``"module:factory"``; by default
+            ``pafot.Highway()``.
+        runs: number of runs after which the search ends; 100 without ``generations``.
+        generations: number of generations after which the search ends.
+        seed: the base seed, from which the seed of the search is derived, with the node id.
+        node_id: node id of the corresponding test, without ``[search]``; by default made from ``holds``.
+        on_event: function that receives the events of the search as they happen.
         settings: other arguments of ``@pafot.search``, and the options ``corpus``, ``max_time``, ``stop_after`` and
-            ``workers``. With ``corpus=``, findings are saved below that folder, and failures that are saved there
-            already are known. Without ``corpus=``, no finding is saved.
+            ``workers``. With ``corpus=``, findings are saved below that folder, and failures that are saved there are
+            known. Without it, no finding is saved.
 
     Raises:
         RequestError: if an argument is wrong, if assertions are off, or if nothing was found and most runs tested
-            nothing, because they were rejected, skipped or invalid, or ended within their first second.
-        Exception: if every run of the first generation ends in the same error, which is no assertion. An error of
-            ``holds`` is raised with a note. For an ADS that fails at its first decision, a ``PlainFailure`` says what
-            it raised and what to do.
+            nothing.
+        Exception: if every run of the first generation ends in the same error, which is no assertion.
     """
     check_asserts(holds)
     budget = {"runs": RUNS if runs is None and generations is None else runs, "generations": generations}
@@ -156,41 +155,41 @@ def explore(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlgorithmRun:
-    """One run of a search algorithm, which only lists the scenarios that it tries, for comparisons of algorithms.
+    """One run of a search algorithm, for comparisons of algorithms.
 
-    It evaluates scenarios as :func:`explore` does, but it can end after a simulated time, and it neither runs findings
-    again nor simplifies them.
+    It only lists the scenarios that it tries. It evaluates them as :func:`explore` does, but neither confirms nor
+    shrinks findings.
 
     Attributes:
         algorithm: the algorithm.
         ads: the factory of the policy.
         holds: the property, as for :func:`explore`.
-        world, space: the world, and the scenarios that the algorithm draws from.
-        blame, fitness: as for :func:`explore`; without a fitness it is the algorithm's own.
+        world, space: the world, and the scenarios that the algorithm samples.
+        blame, fitness: as for :func:`explore`; by default the algorithm's own fitness.
         seed: the seed of the algorithm, from which no other seed is derived.
-        generations: the number of generations after which the run ends; of an algorithm without generations, one is a
-            number of runs, the paper's population.
-        seconds: the simulated time after which no scenario begins [s].
+        generations: number of generations after which the run ends. For an algorithm without generations, one is as
+            many runs as the paper's population.
+        seconds: simulated time after which no scenario starts [s].
 
     Raises:
-        ValueError: if the algorithm does not take the space, or if there is no such fitness.
+        ValueError: if the algorithm does not support the space, or if there is no such fitness.
         RequestError: if anything else is wrong.
     """
 
     COLUMNS: ClassVar[Mapping[str, str]] = MappingProxyType({
         **{name: meaning for name, meaning in run_table.COLUMNS.items() if name not in ("test", "run")},
-        "index": "index in the generation, from 0",
+        "index": "index in the generation, counted from 0",
         "clock": "simulated time of the search until the end of the run [s]; reused results take no time",
         "cell": "cell of the NPC that was hit; empty if it crossed the ego's way",
         "zone": "zone in which that NPC crossed, such as `crossing from the left`; otherwise empty",
-        "position_responsibility": "who is responsible by the rule of the authors' code",
+        "position_responsibility": "who is responsible according to the rule in the authors' code",
         "signature": "identity of a collision, even of one that is no failure, or of an ADS error; otherwise empty",
         "genes_started": "started genes of all NPCs",
-        "genes_reached": "number of started genes whose cell, lane or zone was reached",
-        "executed": "the scenario as driven, in canonical text",
-        "ended": "what of the environment's own ended the run; else empty",
+        "genes_reached": "number of started genes with a target that was reached",
+        "executed": "the scenario as executed, as a canonical string",
+        "ended": "what in the environment ended the run; otherwise empty",
     })  # fmt: skip
-    """The columns of the rows, with their meaning."""
+    """The columns of the rows."""
 
     algorithm: AlgorithmClass
     ads: Callable[..., Any]
@@ -212,10 +211,10 @@ class AlgorithmRun:
         return self.algorithm.make(self.space)
 
     def rows(self) -> list[run_table.Row]:
-        """Make the run, and return a row for each scenario that the algorithm has asked for.
+        """Make the run, and return a row for each requested scenario.
 
         Raises:
-            SetupFaultError: if the ADS fails for the same reason at its first decision in the whole first generation.
+            SetupFaultError: if the ADS always fails in the same way at its first decision.
         """
         given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
         request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
@@ -255,20 +254,20 @@ class AlgorithmRun:
         return table.rows
 
 
+# The number of scenarios in a generation of the paper's algorithm, which stands for one of a random search.
 POPULATION = 4
-"""The number of scenarios in a generation of the paper's algorithm, which stands for one of a random search."""
 
+# The failure that tells the collisions of an :class:`AlgorithmRun` apart, also those that its property accepts.
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
-"""The failure that tells the collisions of an :class:`AlgorithmRun` apart, also those that its property accepts."""
 
 
 def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
-    """Return the note of a run's evaluation, with the columns of an :class:`AlgorithmRun` that the table lacks."""
+    # The note of an evaluation, with the columns that only an AlgorithmRun has.
     hit, signature = run.collision, None
     failure = ads_failure(run) or (None if hit is None else COLLISION)
     if failure is not None:
         found = of_failure(run, failure)
-        # It begins with readable words, and two texts are equal only if the signatures are equal.
+        # It starts with readable words, and two texts are equal only if the signatures are equal.
         signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
     return run_table.note_of(run, verdict) | {
         "cell": None if hit is None or hit.cell is None else int(hit.cell),
@@ -279,11 +278,7 @@ def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
 
 
 def request_of(given: dict[str, Any]) -> Request:
-    """Return the checked request for a search with the arguments of :func:`explore`, including ``ads``.
-
-    Raises:
-        RequestError: on the first wrong argument.
-    """
+    """Return the checked request for a search with arguments of :func:`explore`."""
     known = {**SearchArguments.__annotations__, **ExploreArguments.__annotations__}
     for name in given:
         if name in BY_NAME and name not in known:
@@ -303,11 +298,7 @@ def request_of(given: dict[str, Any]) -> Request:
 
 
 def replays_of(request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path) -> Replays:
-    """Return what :func:`explore` needs to run scenarios: a harness, and the replays of saved scenarios.
-
-    Raises:
-        RequestError: if the search cannot be run with these arguments.
-    """
+    """Return the harness and the replays that :func:`explore` needs."""
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
     settings, (module, _, test) = request.settings, node_id.partition("::")

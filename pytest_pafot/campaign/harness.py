@@ -1,4 +1,4 @@
-"""The harness of a search: world, ADS, test function and folders. The test function is the oracle that judges a run."""
+"""The world, ADS, test function and folders of a search."""
 
 from __future__ import annotations
 
@@ -36,30 +36,31 @@ from pytest_pafot.world.guard.hang_guard import UNFIT, exits, is_interruption, l
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
 
+# The user's test function with all arguments except the run filled in. It asserts, and returns None.
 Test = Callable[[Run], Any]
-"""The user's test function with all arguments except the run filled in. It asserts, and returns None."""
 
 
 class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
-    """A failure that is reported without a traceback, which would only show code of this package."""
+    """A failure that is reported without a traceback."""
+
+    # It would only show code of this package.
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:
-    """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
+    """Return the source file of a function, ignoring decorators."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return default if code is None else str(code.co_filename)
 
 
 def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> Verdict:
-    """Judge a run by the test function, unless the ADS itself failed or NPCs touched.
-
-    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible. A
-    failure is identified by the line in ``test_file`` that failed, by default in the file of the function.
+    """Evaluate a run with the test function, unless the ADS failed or NPCs touched.
 
     Raises:
-        BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
-            timeout of the item, the end of a debugging session, or a function that cannot be an oracle.
+        BaseException: any exception that shows nothing about the run, such as an interrupt or a timeout of the
+            item.
     """
+    # Unless `blame` is "any", the function is not called for collisions for which only an NPC is responsible. A failure
+    # is identified by the failing line in `test_file`, by default the file of the function.
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     test_file = source_file(test) if test_file is None else test_file
@@ -81,9 +82,8 @@ def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
         return Verdict(kind="rejected")
     except xfails() as error:
         raise RequestError(
-            f"expected the test function to call no pytest.xfail(), which would hide a failure, received {error}; "
-            "accept a failure by the line `xfail:` in the file of its saved scenario, and leave out runs by "
-            "pafot.reject()"
+            f"the test function called pytest.xfail({str(error)!r}), which would hide a failure. To accept a failure, "
+            "write a line `xfail:` into the file of its saved scenario. To discard a run, call pafot.reject()."
         ) from None
     except skips() as skipped:
         return Verdict(kind="skipped", exception=skipped)
@@ -102,21 +102,22 @@ def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
         )
     if result is not None:
         raise RequestError(
-            f"expected the test function to assert and to return None, received the return value {result!r:.60}; write "
-            "`assert ...` instead of `return ...`"
+            f"the test function returned {result!r:.60}, but it must assert and return None. Write `assert ...` "
+            "instead of `return ...`."
         )
     return Verdict(kind="passed", checks=tuple(recording.checks))
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
-    """Return how the ADS itself, or the environment, failed, with the traceback if it raised."""
+    """Return how the ADS or the environment failed, with a traceback."""
     who = "environment" if failure.kind == WORLD_HANG else "ADS"
     text = f"the {who} failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 
 def headline(run: Run, verdict: Verdict) -> str:
-    """Return one line on a finding: what happened in the run, and the test function's message if it says more."""
+    """Return one line on a finding."""
+    # It has what happened in the run, and the test function's message if it adds anything.
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     if verdict.failure is not None and verdict.failure.check is not None:
@@ -131,58 +132,53 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """Return one line on a run's collision: who hit whom, and who is at fault; empty if there was no collision."""
+    """Return one line on a collision, or an empty string."""
+    # It states who hit whom, and who is at fault.
     return run.impact and f"{run.impact}; {AT_FAULT[run.attribution.responsibility]}"
 
 
 def skips() -> tuple[type[BaseException], ...]:
-    """Return the exception classes that pytest reports as a skip or an xfail. Only the test function may raise a skip.
-
-    They are looked up in ``sys.modules``, because this package does not import pytest. Code that raises such an
-    exception has imported its module.
-    """
+    """Return the exception classes that pytest reports as a skip or an xfail."""
+    # Only the test function may raise a skip. The classes are looked up in `sys.modules`, because this package does not
+    # import pytest here. Code that raises such an exception has imported its module.
     pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
     of_pytest = () if pytest is None else (pytest.skip.Exception, *xfails())
     return of_pytest if unittest is None else (*of_pytest, unittest.SkipTest)
 
 
 def xfails() -> tuple[type[BaseException], ...]:
-    """Return the exception class of ``pytest.xfail()`` in a tuple, which is empty if pytest has not been imported."""
+    """Return the class of ``pytest.xfail()`` in a tuple, or an empty one."""
     return (sys.modules["pytest"].xfail.Exception,) if "pytest" in sys.modules else ()
 
 
 def assertions() -> tuple[type[BaseException], ...]:
-    """Return the exception classes with which a test function states that a property does not hold."""
+    """Return the exception classes that state that a property is violated."""
     pytest = sys.modules.get("pytest")
     return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
 
 
 def no_skip(who: str, error: BaseException) -> str:
-    """Return the error message for a skip from code in which a skip is not allowed."""
+    """Return the error message for a skip in a wrong place."""
     return (
-        f"expected {who} to raise no skip, which would hide that nothing was tested, received "
-        f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "
-        "with @pytest.mark.skipif"
+        f"{who} raised {type(error).__name__}({str(error)!r}). A skip is not allowed there: it would hide that nothing "
+        "was tested. Call pytest.skip() in the fixture or in the test function, or mark the test with "
+        "@pytest.mark.skipif."
     )
 
 
-Cause = tuple[str, str]
-"""The class of an exception, and where it was raised."""
+Cause = tuple[str, str]  # the class of an exception, and where it was raised
 
+# A steering angle beyond which the units of an action are doubtful [rad]: no car reaches it.
 NO_STEERING = math.pi / 2
-"""A steering angle beyond which the units of an action are doubtful [rad]: no car reaches it."""
+# An acceleration above which the units of an action are doubtful [m/s^2]: no car reaches it. Large negative
+# accelerations are allowed, because planners use them to brake as hard as possible.
 NO_ACCELERATION = 30.0
-"""An acceleration above which the units of an action are doubtful [m/s^2]: no car reaches it.
-
-Large negative accelerations are allowed, because planners use them to brake as hard as possible.
-"""
 
 
 class SetupFaultError(Exception):
-    """An error of the set-up: all runs of the first generation ended in the same exception.
+    """The same exception in all runs of the first generation."""
 
-    For a replay, these are its own run and those of some random scenarios.
-    """
+    # For a replay, these are its own run and those of some random scenarios.
 
     def __init__(self, run: Run, verdict: Verdict, runs: str, *, is_replay: bool = False) -> None:
         super().__init__(f"{runs} ended in {verdict.exception!r}")
@@ -190,49 +186,46 @@ class SetupFaultError(Exception):
 
     @property
     def received(self) -> str:
-        """The class and the message of what was raised in all runs."""
+        """The class and the message of the exception."""
         failure = self.verdict.failure
         return "" if failure is None else f"{failure.kind}: {failure.message}"
 
     def first_decision(self, world: BaseWorld, policy: Policy, *, of_si: str, of_env: str) -> str:
-        """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
-
-        It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
-        """
+        """Return a paragraph on the first decision of an ADS, or an empty string."""
+        # It ends with `of_si` if the decision is in SI units, and with `of_env` if it is the environment's.
         asked = None if policy.drives_itself else world.first_decision(self.run.trace.scenario)
         return "" if asked is None else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
 
     def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
-        """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
+        """Return the exception for the user."""
+        # It states what was raised and where, why it is no finding, and what to do.
         verdict = self.verdict
-        nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
+        nothing = "so nothing was saved" if not self.is_replay else "so it shows nothing about any saved scenario"
         again = "replay" if self.is_replay else "search"
         if verdict.is_ads or verdict.exception is None:
             asked = self.first_decision(
                 world,
                 policy,
                 of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
-                of_env="A policy needs the config= and the wrappers= with which it was trained; a planner in SI units "
+                of_env="A policy needs the config= and the wrappers= with which it was trained. A planner in SI units "
                 "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
             )
             return PlainFailure(
                 f"{verdict.exception}\n\n"
-                f"This happened in {self.runs}, at the first decision: it is an error of the set-up and no finding, "
+                f"This happened in {self.runs}, at the first decision. It is an error in the set-up and not a finding, "
                 f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{asked}"
             )
         verdict.exception.add_note(
-            f"This happened in {self.runs}, whatever the ego did: it is an error of the test function and no finding, "
-            f"{nothing}. Correct the line and {again} again; if it is meant as a finding, use assert."
+            f"This happened in {self.runs}, whatever the ego did. It is an error in the test function and not a "
+            f"finding, {nothing}. Correct the line and {again} again. Use assert if it should be a finding."
         )
         return verdict.exception
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:
-    """Return the cause of a failure if it can be a fault of the set-up; otherwise None.
-
-    An assertion is never such a fault. Neither is an ADS that fails after its first decision, or that hangs: the cause
-    can be the scenario or the machine.
-    """
+    """Return the cause of a failure that may be a fault of the set-up, or None."""
+    # An assertion is never such a fault. Neither is an ADS that fails after its first decision, or that hangs: the
+    # cause can be the scenario or the machine.
     failure = verdict.failure
     if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
         return None
@@ -245,10 +238,8 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 
 
 def unit_doubt(trace: Trace) -> str:
-    """Return what to check if the actions of a planner seem to have wrong units; empty if they do not.
-
-    It is always empty for policies of an environment, whose actions are not in SI units.
-    """
+    """Return what to check if actions seem to have wrong units, or an empty string."""
+    # Policies of an environment have actions that are not in SI units, so there is no doubt.
     steering = speed = acceleration = 0.0
     for action in trace.actions:  # one loop without calls, because each run is looked at
         if type(action) is tuple and len(action) == 2:
@@ -262,18 +253,19 @@ def unit_doubt(trace: Trace) -> str:
         acceleration = wanted if wanted > acceleration else acceleration
     if steering > NO_STEERING:
         return (
-            f"the ADS requested a steering angle of {steering:.3g} rad, of which {possible_steering(steering):.2f} rad "
-            "take effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this order"
+            f"the ADS requested a steering angle of {steering:.3g} rad, but only "
+            f"{possible_steering(steering):.2f} rad takes effect. Convert degrees with math.radians(...). An action is "
+            "(acceleration, steering), in this order"
         )
     if speed > TOP_SPEED:
         return (
-            f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s: "
-            "divide km/h by 3.6"
+            f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s. "
+            "Divide km/h by 3.6"
         )
     if acceleration > NO_ACCELERATION:
         return (
-            f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, of which "
-            f"{possible_acceleration(acceleration):g} m/s^2 take effect: an action is (acceleration, steering), not a "
+            f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, but only "
+            f"{possible_acceleration(acceleration):g} m/s^2 takes effect. An action is (acceleration, steering), not a "
             "speed"
         )
     return ""
@@ -284,25 +276,22 @@ def unit_doubt(trace: Trace) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """The reference of a search: a failure of the tested policy counts only if this policy passes the same scenario."""
+    """The reference of a search, which must pass where the tested policy fails."""
 
     policy: Policy
     name: str  # the name in saved files; empty for a factory that no text can refer to
 
     @property
     def shown(self) -> str:
-        """The name of the reference in the summary."""
+        """The name in the summary."""
         return self.name or "the reference"
 
 
 def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], tested: Policy) -> Reference | None:
     """Return the reference of the option ``against`` for a tested policy.
 
-    It is a factory, its ``module:factory[:argument]``, or the name of a fixture.
-
     Raises:
-        AgainstError: if ``given`` is anything else, if the module or the name does not exist, or if it is the policy
-            itself.
+        AgainstError: if ``given`` is no other factory, name of one, or fixture.
     """
     if given is None:
         return None
@@ -324,11 +313,9 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], te
 
 
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
-    """Return why two factories make the same policy, so that it would be compared with itself; empty if they may not.
-
-    They do if they have the same sight, name and arguments, and all files behind them have the same content: a copy of
-    one file imports the other modules of the present policy.
-    """
+    """Return why two factories make the same policy, or an empty string."""
+    # They do if they have the same perception, name and arguments, and all files behind them have the same content: a
+    # copy of one file imports the other modules of the present policy.
     if sight_of(ads) != sight_of(other):
         return ""
     ads, other = (each.ads if isinstance(each, Perception) else each for each in (ads, other))
@@ -340,13 +327,13 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
         if not files or _contents(files, others) != _contents(others, files):
             return ""
     return (
-        "expected a policy that differs from the tested one, received one of the same name with the same files, so it "
-        "would be compared with itself; put the earlier policy, with all its modules, into a package of another name"
+        "expected a different policy, received one with the same name and the same files as the tested policy. Put "
+        "the earlier policy, with all its modules, into a package with a different name."
     )
 
 
 def _parts(factory: Any) -> object:
-    """Return the name of a factory in its module, with its arguments; None if its name does not say what it makes."""
+    # None if the name does not determine what the factory makes
     if isinstance(factory, partial):
         inner = _parts(factory.func)
         return None if inner is None else (inner, repr(factory.args), repr(factory.keywords))
@@ -354,12 +341,12 @@ def _parts(factory: Any) -> object:
     return None if name is None or "<" in name else name
 
 
+# What a module has that opens data next to it, so that a copy of the module opens other data.
 BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
-"""What a module has that opens data next to it, so that a copy of the module opens other data."""
 
 
 def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple[str, str]]) -> Counter[str]:
-    """Return the hashes of files and, if they open data by their own place, those of data that only they have."""
+    # If the files open data next to them, the data is included, but only data that not both have.
     hashes = Counter(digest for _, digest in files.values())
     if any(path.is_file() and BY_ITS_PLACE.search(path.read_bytes()) for path in files):
         folders = {path.parent for path in files} - {path.parent for path in others}
@@ -370,7 +357,7 @@ def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Harness:
-    """Everything that is needed to run and judge scenarios for one test with its parameters."""
+    """All that is needed to run and evaluate scenarios for one test."""
 
     request: Request
     world: BaseWorld  # the world of the search; a saved scenario may have a different one
@@ -389,14 +376,9 @@ class Harness:
     needs_only_run: bool = False
 
     def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
-        """Return the job for a worker process: everything that it needs to run scenarios with the ADS.
-
-        ``world`` is by default the world of the search. ``owner`` is the node id under which crashes of the process are
-        recorded, by default the id of this test.
-
-        Raises:
-            RequestError: if the world cannot be used, or the ADS cannot be loaded.
-        """
+        """Return the job for a worker process."""
+        # `world` is by default the world of the search. Crashes of the process are recorded under the node id `owner`,
+        # by default the id of this test.
         world = self.world if world is None else world
         with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
@@ -413,28 +395,26 @@ class Harness:
         )
 
     def run_of(self, trace: Trace, world: BaseWorld | None = None) -> Run:
-        """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
+        """Return a trace as the test function receives it."""
         return (self.world if world is None else world).run_of(trace)
 
     def judge(self, run: Run) -> Verdict:
-        """Return the verdict on a run. The test function decides, unless the ADS itself failed."""
+        """Return the verdict on a run."""
+        # The test function decides, unless the ADS itself failed.
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
     @property
     def against_name(self) -> str:
-        """The name of the reference in the summary; empty if the search has no reference."""
+        """The name of the reference in the summary, or an empty string."""
         return "" if self.against is None else self.against.shown
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
-        """Return the verdict on a trace that was made in ``world``."""
         return self.judge(self.run_of(trace, world))
 
     def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Here | None:
-        """Return the runner that drives the reference; None if the search has no reference.
-
-        With ``isolate`` the reference runs in a separate process, like the ADS.
-        """
+        """Return the runner of the reference, or None."""
+        # With `isolate` the reference runs in a separate process, like the ADS.
         if self.against is None:
             return None
         with refusals():
@@ -442,18 +422,16 @@ class Harness:
             return runner_for(job, record, isolate=isolate)
 
     def judge_reference(self, runner: Here, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
-        """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
+        """Return the verdict on the reference in a scenario."""
+        # A reference that raises, hangs or dies has failed.
         __tracebackhide__ = True
         return self.run_reference(runner, scenario, world)[1]
 
     def run_reference(
         self, runner: Here, scenario: Scenario, world: BaseWorld | None = None
     ) -> tuple[Run | None, Verdict]:
-        """Return the run of the reference in a scenario, None if its process died or hung, and the verdict on it.
-
-        Raises:
-            RequestError: if the reference's factory cannot be used, or the scenario does not fit the world.
-        """
+        """Return the run of the reference in a scenario, and its verdict."""
+        # The run is None if the process died or hung.
         __tracebackhide__ = True
         try:
             with refusals("the reference"):
@@ -469,7 +447,8 @@ class Harness:
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
-        """Provide the crash record with the scenario that runs now. It stays on disk only if the process dies."""
+        """Provide the crash record with the scenario that runs now."""
+        # It stays on disk only if the process dies.
         try:
             with job.crash_record() as record:
                 yield record
@@ -478,13 +457,13 @@ class Harness:
                 self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
-        """Return the crash records of processes that died in runs of this test, or of another ``owner``."""
+        """Return the crash records of processes that died in runs of this test."""
         return left_by(owner or self.node_id, self.records)
 
 
 @contextmanager
 def refusals(whose: str = "the ADS") -> Iterator[None]:
-    """Turn errors that the user can correct into request errors; ``whose`` names the factory that is called."""
+    """Turn errors that the user can correct into request errors."""
     __tracebackhide__ = True
     try:
         yield
@@ -495,21 +474,17 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
     except exits() as error:
         let_through(error)
         raise RequestError(
-            f"expected the factory of {whose} to leave the session alone, received pytest.exit({str(error)!r}); raise "
-            "another exception"
+            f"the factory of {whose} called pytest.exit({str(error)!r}), but a factory must not end the session. "
+            "Raise a different exception."
         ) from None
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:
-    """Return the value of a fixture if it is an ADS factory. ``name`` is the name of the fixture.
-
-    Raises:
-        RequestError: if the value is not a factory.
-    """
+    """Return the value of a fixture if it is an ADS factory, or raise an error."""
     if not callable(given):
         hint = hint_at_object(given)
         raise RequestError(
-            f"expected the fixture {name!r} to return a factory, a function that makes a fresh ADS for each scenario "
+            f"expected the fixture {name!r} to return a factory, a function that makes a new ADS for each scenario, "
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
@@ -522,8 +497,8 @@ def is_same_run(a: Run, b: Run) -> bool:
 
 
 def begins_alike(run: Run, longer: Run) -> bool:
-    """Return whether a run that may have been driven on is identical to a run until that run's end, to the last bit."""
+    """Return whether a run that may have continued starts with another run."""
     first, second = run.trace.states, longer.trace.states
-    if len(second) <= len(first) or run.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD):  # nothing to drive on
+    if len(second) <= len(first) or run.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD):  # nothing to continue
         return is_same_run(run, longer)
     return first.tobytes() == second[: len(first)].tobytes()

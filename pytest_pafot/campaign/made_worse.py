@@ -1,9 +1,7 @@
-"""Whether a change made a policy worse, or whether the policy only fails in other scenarios than its reference.
-
-A search looks for failures that the reference passes, so it finds some in any policy that drives a little differently,
-also in a safer one. So both policies drive the same random scenarios, and those in which only one of them fails are
-counted.
-"""
+"""Whether a change made a policy worse."""
+# A search looks for failures that the reference passes, so it finds some in any policy that drives a little
+# differently, even in a safer one. So both policies run the same random scenarios, and those in which only one of them
+# fails are counted.
 
 from __future__ import annotations
 
@@ -26,32 +24,23 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-PAIRS = 700
-"""The largest number of random scenarios that both policies drive."""
+PAIRS = 700  # the largest number of random scenarios that both policies drive
 
 
 @dataclass(slots=True, kw_only=True)
 class MadeWorse:
-    """The decision which findings of a search speak against the new policy, and which it only fails elsewhere.
+    """The decision which findings show that the new policy is worse."""
 
-    Attributes:
-        state, bench, store: the parts of the search, which has a reference.
-        end: the time at which random scenarios must end [s], or infinity.
-        paired: the counts of the random scenarios.
-    """
-
-    state: State
+    state: State  # a part of the search, which has a reference
     bench: Bench
     store: Store
-    end: float
-    paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))
+    end: float  # time at which random scenarios must end [s], or infinity
+    paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))  # counts of the random scenarios
 
     def compare(self, space: SearchSpace) -> Refining[None]:
-        """Drive random scenarios with both policies, and dismiss the findings if the new one does not fail more often.
-
-        The scenarios depend only on the seed of the search, and are judged in their order. So the result is the same
-        with any number of processes.
-        """
+        """Run random scenarios with both policies, and dismiss findings that are no worse."""
+        # The scenarios depend only on the seed of the search, and are evaluated in order. So the result is the same
+        # with any number of processes.
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
         drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(PAIRS))
@@ -71,7 +60,7 @@ class MadeWorse:
             yield from self._dismiss(self.store.findings.values())
 
     def _fail(self, result: Result | LostRun) -> Generator[SearchEvent, None, tuple[bool, bool]]:
-        """Return whether only the new policy fails in a scenario, and whether only the reference does."""
+        # Whether only the new policy fails, and whether only the reference does.
         __tracebackhide__ = True
         bench = self.bench
         if isinstance(result, ProcessLostError):
@@ -83,10 +72,10 @@ class MadeWorse:
         return False, reference.failed
 
     def _dismiss(self, sightings: Iterable[Seen]) -> Iterator[SearchEvent]:
-        """Take findings back, unless the policy itself raised or hung: that is no question of how often."""
+        # A policy that raised or hung keeps its findings: how often that happens does not matter.
         state, harness = self.state, self.bench.harness
-        way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
-        told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
+        way_out = f"a search without {harness.request.option('against')} counts and saves such findings"
+        told = f"the policy fails no more often than {harness.against_name}: {self.paired}; {way_out}"
         for sighting in list(sightings):
             expect = sighting.finding.expect
             if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):

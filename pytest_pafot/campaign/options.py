@@ -1,9 +1,6 @@
-"""The options of a search, in one typed table.
-
-Command-line options, ini and toml keys, arguments of the mark and of ``pafot.explore``, and the reference documentation
-are all generated from the fields of :class:`Settings`. :mod:`pytest_pafot.plugin.session` defines the precedence
-of these sources.
-"""
+"""The options of a search, in one typed table."""
+# Command-line options, ini and toml keys, arguments of the mark and of `pafot.explore`, and the reference documentation
+# are all generated from the fields of Settings. `plugin/session.py` defines the precedence of these sources.
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import RequestError, flag, install
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.plan import Algorithm
@@ -23,28 +20,27 @@ Kind = Literal[
     "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "file"
 ]  # fmt: skip
 
+# The name of a search algorithm of this package.
 AlgorithmName = Literal["random", "pafot", "av-fuzzer", "random-manoeuvre"]
-"""The name of a search algorithm of this package."""
 
 SEED_LIMIT = 2**63
 
+# The largest number of processes that can be requested. More do not fit into the memory of any machine so far.
 MOST_WORKERS = 1024
-"""The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
 
+# The environment variable with the policy that a command names, for the pytest session that it starts.
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
-"""The environment variable with the policy that a command names, for the pytest session that it starts."""
 
 AUTO = "auto"
 
+# The options that limit a search. If both are given, the lower limit applies.
 BUDGETS = ("runs", "generations")
-"""The options that limit a search. If both are given, the lower limit holds."""
 
-RUNS = 100
-"""The number of runs of a search without a budget."""
+RUNS = 100  # the number of runs of a search without a budget
 
 
 class Option(NamedTuple):
-    """An option: type, default, texts, and the names ``--pafot-<name>`` and ``pafot_<name>``."""
+    """An option of the plugin."""
 
     name: str
     kind: Kind
@@ -60,32 +56,32 @@ class Option(NamedTuple):
 
     @property
     def flag(self) -> str:
-        """The option's name on the command line, such as ``--pafot-max-time``."""
+        """The name on the command line, such as ``--pafot-max-time``."""
         return flag(self.name)
 
     @property
     def key(self) -> str:
-        """The option's key in ini and toml files, which is also the attribute of ``config.option``."""
+        """The key in ini and toml files, and in ``config.option``."""
         return f"pafot_{self.name}"
 
     @property
     def metavar(self) -> str:
-        """The placeholder for the option's value in the help, such as ``SECONDS``."""
+        """The placeholder in the help, such as ``SECONDS``."""
         shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "FILE.html", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
-        """Convert a text or a Python value to the type of the option.
+        """Convert a string or a Python value to the type of the option.
 
         Raises:
-            RequestError: if the value is wrong. The caller adds to the message where the value is from.
+            RequestError: if the value is wrong. The caller adds where it is from.
         """
         if self.or_class and (not isinstance(value, str) or ":" in value):
             return value  # checked where it is used, since reading options must not import anything
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            hint = "; or give your own class, as module:Class outside Python code" if self.or_class else ""
+            hint = "; for your own class, write module:Class, or pass the class in Python" if self.or_class else ""
             from pytest_pafot.support.text import meant  # noqa: PLC0415  (for few sessions)
 
             hint = meant(value, self.choices) or hint
@@ -94,58 +90,55 @@ class Option(NamedTuple):
 
 
 def option(kind: Kind, text: str, details: str = "", *, default: object = None, **known: Any) -> Any:
-    """Return the field of :class:`Settings` for an option; further keyword arguments are fields of :class:`Option`."""
+    """Return a field of :class:`Settings`."""
+    # Keyword arguments are fields of Option.
     return field(default=default, metadata={"kind": kind, "help": text, "details": details, **known})
 
 
 # each method that is made of so many fields costs every session of pytest some time
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, repr=False, eq=False)
 class Settings:
-    """The options, with their types, texts and defaults.
+    """The plugin's options, with their types, help texts and defaults."""
 
-    An instance holds the values for one item. Only the controller reads the options that are given for a session alone
-    (``everywhere=False``). Without them an item's value has their defaults.
-    """
+    # An instance holds the values for one item. Only the controller reads the options that are given for a session
+    # (`everywhere=False`). Without them an item has their defaults.
 
     runs: int | None = option(
         "integer",
-        "Stop each search after N runs; 0 only replays.",
-        f"It ends also within a generation. By default {RUNS}, or no limit with `--pafot-generations`. At least 1 in "
-        "the mark.",
+        "Stop each search after N runs; with 0, only replay.",
+        f"The default is {RUNS}, or no limit with `--pafot-generations`.",
     )
     generations: int | None = option(
         "integer",
-        "Breed N generations, by default of the paper's search.",
-        "Only algorithms that breed have generations: without `--pafot-algorithm` it is `pafot`, the genetic algorithm "
-        "of the paper with its local fuzzer and restarts. With 0, only saved scenarios run. At least 1 in the mark.",
+        "Stop each search after N generations.",
+        "Only algorithms that breed have generations, so the default algorithm is then `pafot`, the genetic algorithm "
+        "of the paper. 0 only replays saved scenarios.",
     )
     seed: int = option(
         "integer",
         "Derive the seed of each search from the base seed N.",
-        "Another one gives other scenarios.",
+        "A different base seed generates different scenarios.",
         default=0,
     )
     algorithm: AlgorithmName | type[Algorithm[Any]] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Search with random, pafot, av-fuzzer, or module:Class.",
-        "By default `random`, and `pafot` with `--pafot-generations`. "
-        "[What each is](../comparisons/README.md#the-searches). In the mark, [your "
-        "own](../guide/algorithms.md#an-algorithm-of-your-own) is the class itself.",
+        "Search with a built-in algorithm or with module:Class.",
+        "The default is `random`, or `pafot` with `--pafot-generations`. See [Algorithms](../guide/algorithms.md).",
         choices=get_args(AlgorithmName),
         or_class=True,
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Count only failures that another module:factory passes.",
-        "It is the reference, a second ADS: [how to compare two versions](../guide/what-broke.md). In the mark also a "
-        "factory, or the name of its fixture.",
+        "Count only failures that policy module:factory passes.",
+        "The other policy is the *reference*, for example [an earlier version](../guide/ci.md). `@pafot.search` also "
+        "accepts a factory, or the name of a fixture that returns one.",
         or_class=True,
     )
     max_time: float | None = option(
         "seconds",
         "Stop each search after SECONDS of wall-clock time.",
-        "With the work on findings, for which a search with findings reserves at most a third. A run ends before "
-        "its next decision. A search that is cut is not reproducible.",
+        "A search with findings reserves at most a third of this time for work on the findings. A search that reaches "
+        "the limit is not reproducible.",
         is_argument=False,
     )
     stop_after: int | None = option(
@@ -154,24 +147,24 @@ class Settings:
     shrink_rollouts: int | None = option(
         "integer",
         "Shrink each new finding with at most N runs.",
-        "0 leaves findings as they were found. By default 3000 if the ADS is a vehicle class that the kernel drives, "
-        "otherwise 300; and all work on findings asks the policy for at most as many decisions as the search, or 2000.",
+        "0 saves findings without shrinking. The default is 3000 for vehicle classes that the kernel drives, and 300 "
+        "for other policies. By default, work on findings also stops after as many decisions of the policy as the "
+        "search made, but not before 2000.",
     )
     corpus: str = option(
         "text",
         "Save scenarios in this folder next to each test file.",
-        "An absolute path is one folder for all.",
+        "An absolute path is one folder for all tests.",
         default=CORPUS,
         is_argument=False,
     )
     save: str = option(
-        "text", "Save new findings in the corpus, or none.", default="new", choices=("new", "none"), is_argument=False
+        "text", "Save new findings to files, or save none.", default="new", choices=("new", "none"), is_argument=False
     )
     workers: int = option(
         "workers",
-        "Run scenarios in N processes; auto: one for each core.",
-        "Only the scenarios that a search draws run there. It is faster if runs take long, and the findings are the "
-        "same. Always 1 under pytest-xdist.",
+        "Run scenarios in N processes; auto means one per core.",
+        "Replays and shrinking run in the main process. The findings are the same. Under pytest-xdist, N is always 1.",
         default=1,
         least=1,
         most=MOST_WORKERS,
@@ -180,65 +173,63 @@ class Settings:
     isolate: bool = option(
         "switch",
         "Report an ADS that ends its process as a finding.",
-        "It drives only in other processes. [More](../guide/planners.md#if-it-raises-hangs-or-ends-its-process).",
+        "The policy then runs only in [separate processes](../guide/planners.md).",
         default=False,
     )
     dask: str | None = option(
         "address",
         "Run scenarios on the workers of a Dask scheduler.",
-        "Only the scenarios that a search draws run there. [Needs "
-        "`pytest-pafot[dask]`](../guide/machines.md#on-as-many-machines-as-there-are).",
+        f"To install Dask, run `{install('dask')}`.",
         everywhere=False,
         is_argument=False,
     )
     report: str | None = option(
         "page",
         "Write the findings to FILE.html as one web page.",
-        "Of more than 100, the worst 100 are whole, and the others are only listed.",
+        "If there are more than 100, the page shows the worst 100 in full and lists the others.",
         is_argument=False,
     )
     json: str | None = option(
         "file",
         "Write the results of the session to FILE as JSON.",
-        "[Its keys](results.md).",
+        "See [its keys](files.md#results-as-json).",
         everywhere=False,
         is_argument=False,
     )
     today: str | None = option(
         "day",
-        "Compare accepted failures' last days with this day.",
-        "Without it they are compared with today.",
+        "Use this day to decide whether acceptances have expired.",
+        "The default is the current day.",
         everywhere=False,
         is_argument=False,
     )
     debug: bool = option(
         "switch",
-        "Open the debugger in the decisive moment of each replay.",
-        "That is the policy's last decision that could have avoided the failure, its "
-        "[moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
-        "`pytest FILE` in one process.",
+        "Open the debugger at the decisive moment of each replay.",
+        "That is the last decision of the policy that [could have avoided the failure](../explanation/findings.md). "
+        "Enter `s` to step into the policy. This only works for `pytest FILE` in one process.",
         default=False,
         is_argument=False,
     )
     strict_drift: bool = option(
         "switch",
-        "Fail saved scenarios that pass, but have drifted.",
-        "They may no longer test [what they were saved for](items.md#items-labels-and-exit-codes).",
+        "Fail saved scenarios that pass but have drifted.",
+        "They may [no longer test the failure](../guide/triage.md) for which they were saved.",
         default=False,
         is_argument=False,
     )
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning.",
-        "One such warning is that scenarios have no interaction. It also fails sessions that leave out saved "
-        "scenarios, as `CI` does.",
+        "For example, most runs had no interaction with an NPC. A session that omits saved scenarios also fails, as "
+        "with the environment variable `CI`.",
         default=False,
         is_argument=False,
     )
     allow_orphans: bool = option(
         "switch",
-        "Pass although saved scenarios are left out.",
-        "Also with `CI` or `--pafot-strict-health`.",
+        "Do not fail if saved scenarios are skipped.",
+        "This also applies with `CI` or `--pafot-strict-health`.",
         default=False,
         is_argument=False,
     )
@@ -249,12 +240,12 @@ class Settings:
 
     @property
     def is_search(self) -> bool:
-        """True if a search is requested; False if only saved scenarios are replayed."""
+        """True if a search is requested, and not only replays."""
         return 0 not in (self.runs, self.generations)
 
     @property
     def repeated(self) -> list[str]:
-        """The command-line options that request a search with the same number of runs or generations, and seed."""
+        """The command-line options that request the same search."""
         return [flag(name, value) for name in (*BUDGETS, "seed") if (value := getattr(self, name)) is not None]
 
 
@@ -266,7 +257,7 @@ BY_NAME: Mapping[str, Option] = {each.name: each for each in OPTIONS}
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:
-    """Return whether the environment variable CI is set, to anything except an empty text, 0 or false."""
+    """Return whether the environment variable CI is set to anything but 0 or false."""
     return environ.get("CI", "").lower() not in ("", "0", "false")
 
 
@@ -298,13 +289,13 @@ def _read_seconds(option: Option, value: object) -> float:
     except ValueError:
         seconds = -1.0
     if not option.least <= seconds < float("inf"):
-        raise RequestError(f"expected seconds, at least {option.least:g}, received {value!r}")
+        raise RequestError(f"expected a number of seconds, at least {option.least:g}, received {value!r}")
     return seconds
 
 
 def _read_text(option: Option, value: object) -> str:
     if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
-        raise RequestError(f"expected a text, received {value!r}")
+        raise RequestError(f"expected a string, received {value!r}")
     return str(os.fspath(value))
 
 
@@ -312,7 +303,7 @@ def _read_day(option: Option, value: object) -> str:
     from pytest_pafot.support.text import day_of  # noqa: PLC0415  (for few sessions)
 
     if not isinstance(value, str) or day_of(value) is None:
-        raise RequestError(f"expected a day of the calendar, such as 2027-01-31, received {value!r}")
+        raise RequestError(f"expected a date such as 2027-01-31, received {value!r}")
     return value
 
 
@@ -322,13 +313,13 @@ def _read_page(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.lower().endswith((".html", ".htm")) or is_stream(Path(text)):
         return text
-    raise RequestError(f"expected the name of a page FILE.html, received {value!r}")
+    raise RequestError(f"expected a file name such as FILE.html, received {value!r}")
 
 
 def _read_file(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.endswith(("/", "\\")):
-        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder; give {text}pafot.json")
+        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder; use {text}pafot.json")
     return text
 
 

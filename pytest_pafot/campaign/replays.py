@@ -1,4 +1,4 @@
-"""Replays of saved scenarios, each in the world of its file, with the ADS and the function of its test."""
+"""Replays of saved scenarios, each in the world of its file."""
 
 from __future__ import annotations
 
@@ -63,17 +63,16 @@ from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 
-Sought = Callable[[Run, Failure], bool]
-"""Whether a failure of a run is the one that is looked for."""
+Sought = Callable[[Run, Failure], bool]  # whether a failure of a run is the one that is looked for
 
+# The number of random scenarios that must end as a replay does, so that the cause is the set-up and no scenario.
 PROBES = 10
-"""The number of random scenarios that must end as a replay does, so that the cause is the set-up and no scenario."""
 
-PAST_END = "driven on past the file's end"
-"""The words for the time after a file's end in what is said of a replay."""
+# The words for the time after a file's end in what is said of a replay.
+PAST_END = "continued past the end of the file"
 
+# The time after a file's end in which a collision with the file's NPC stands for the saved one, only later [s].
 SOON = 2.0
-"""The time after a file's end in which a collision with the file's NPC stands for the saved one, only later [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,18 +83,14 @@ class Replays:
     today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
 
     def shown_by(self, saved: Iterable[Saved]) -> tuple[dict[Signature, str], Accepted]:
-        """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
-
-        Also return for each how fast a collision is that its files accept. It is infinite if one of them is not
-        accepted, and so fails its item.
-
-        A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
-        failure. If it passes, also when it is driven on, it covers nothing. So for each known failure there is an item
-        that fails with it or accepts it. A file that cannot be used covers nothing either, as its item reports the
-        error. Nor does a file in which the reference fails as well: old failures must not hide new failures. A flaky
-        failure that is accepted is covered even if its replay passes this time: else the search would find it again by
-        chance.
-        """
+        """Replay saved scenarios, and return the known failures and accepted speeds."""
+        # The first result has for each known failure the id of the first file that shows it. The second says how fast a
+        # collision its files accept: infinite if one of them is not accepted, and so fails its item. A saved scenario
+        # covers the failure that it shows now, even if it was saved for another one. If it passes, also when it
+        # continues, it covers nothing. So for each known failure there is an item that fails with it or accepts it. A
+        # file that cannot be used covers nothing either, as its item reports the error. Nor does a file in which the
+        # reference fails as well: old failures must not hide new ones. An accepted flaky failure is covered even if its
+        # replay passes this time: otherwise the search would find it again by chance.
         known: dict[Signature, str] = {}
         accepted: Accepted = {}
 
@@ -111,7 +106,7 @@ class Replays:
                 world, finding = self.world_of(each), _finding(each)
                 now = self._accepted(finding, self._driven(each, world, owner))
                 shown = _signature(now)
-                # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
+                # The reference is continued if the ADS was. Otherwise it is evaluated as in a search.
                 sought = partial(is_same_failure, finding) if now.is_later else None
                 if shown is not None and self._compared(each, world, owner, now, sought).reference_passes is not False:
                     cover(shown, each.id, finding.worst_known if now.is_accepted else math.inf)
@@ -122,7 +117,7 @@ class Replays:
         return self.today is not None and finding.is_accepted(self.today)
 
     def _accepted(self, finding: Finding, now: Observed) -> Observed:
-        """Return a replay with whether its file accepts the failure, or how the failure goes beyond that."""
+        # Whether the file accepts the failure, or how the failure goes beyond that.
         if not self.accepts(finding):
             return now
         died = now.verdict.exception if now.verdict is not None else None
@@ -133,7 +128,8 @@ class Replays:
         return replace(now, is_accepted=not beyond, beyond=beyond)
 
     def still_fails(self, saved: Saved) -> bool:
-        """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
+        """Return whether a process still dies in a saved scenario."""
+        # The reference does not matter here.
         try:
             now = self._driven(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
@@ -141,13 +137,12 @@ class Replays:
         return _signature(now) == _finding(saved).signature
 
     def world_of(self, saved: Saved) -> BaseWorld:
-        """Return the world in which to replay a file, and check that the scenario fits that world.
-
-        It is the world that the file describes; or the test's world, if the world is code, which files do not contain.
+        """Return the world in which to replay a file, checked against the scenario.
 
         Raises:
-            RequestError: if the world cannot be built, or the scenario does not fit. The message names file and line.
+            RequestError: if the world cannot be built, or the scenario does not fit.
         """
+        # If the world is code, which files do not contain, it is the test's world.
         finding = _finding(saved)
         try:
             if codec.is_code(finding.world):
@@ -161,14 +156,14 @@ class Replays:
         return world
 
     def tried(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Run, Verdict]:
-        """Run a saved scenario in a world; return the run and its verdict. ``owner`` is written into the crash record.
-
-        The run is in a separate process with ``--pafot-isolate``, or if a process died or hung in this scenario before.
+        """Run a saved scenario in a world, and return the run and its verdict.
 
         Raises:
             ProcessLostError: if the separate process died or hung.
-            RequestError: for a world, factory or scenario that does not fit.
+            RequestError: if the world, the factory or the scenario cannot be used.
         """
+        # The run is in a separate process with `--pafot-isolate`, or if a process died or hung in this scenario before.
+        # `owner` is written into the crash record.
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
         isolate, trace = harness.request.settings.isolate, None
@@ -183,9 +178,9 @@ class Replays:
                     if isolate:
                         raise
                     raise ExecutionError(
-                        "expected a scenario that has ended a process to run in a separate process, received from "
-                        f"there {type(error).__name__}: {error}. {NOT_TRIED_HERE} Or delete the file; a search may "
-                        "then find it again"
+                        "a scenario that has ended a process must run in a separate process, which raised "
+                        f"{type(error).__name__}: {error}. {NOT_TRIED_HERE} Or delete the file. A search may then find "
+                        "the failure again."
                     ) from None
         with harness.recording(job) as record:
             record.write(scenario)
@@ -196,19 +191,18 @@ class Replays:
             return run, harness.judge(run)
 
     def is_apart(self, saved: Saved, owner: str) -> bool:
-        """Return whether a saved scenario is run in a separate process; ``owner`` as for :meth:`tried`."""
+        """Return whether a saved scenario is run in a separate process."""
         harness = self.harness
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
     def check_set_up(self, saved: Saved, run: Run, verdict: Verdict, owner: str) -> None:
-        """Check that a replay that fails does so by its scenario, and not because the ADS no longer drives at all.
-
-        An ADS whose call has another signature now raises at its first decision whatever the scenario is, and an error
-        in the test function occurs in every run. So random scenarios of the test end in the same exception, too.
+        """Check that a replay fails because of its scenario, and not in every run.
 
         Raises:
-            SetupFaultError: if all of them do.
+            SetupFaultError: if random scenarios of the test end in the same exception.
         """
+        # An ADS whose call has another signature now raises at its first decision in any scenario, and an error in the
+        # test function occurs in every run.
         __tracebackhide__ = True
         harness, cause = self.harness, cause_of(run, verdict)
         if cause is None:
@@ -229,11 +223,8 @@ class Replays:
     def _compared(
         self, saved: Saved, world: BaseWorld, owner: str, now: Observed, sought: Sought | None = None
     ) -> Observed:
-        """Return a replay with the result of the reference in the same scenario, if the test has a reference.
-
-        The reference runs in a separate process if the ADS does. If it passes, and a failure is ``sought``, it is
-        driven on, too, and fails if it shows that failure then.
-        """
+        # The reference runs in a separate process if the ADS does. If it passes, and a failure is `sought`, its run is
+        # continued, too, and fails if it shows that failure then.
         __tracebackhide__ = True
         run, verdict = self._of_reference(saved, world, owner, is_checked=True)
         if verdict is None or verdict.kind == "invalid":
@@ -251,7 +242,7 @@ class Replays:
     def _of_reference(
         self, saved: Saved, world: BaseWorld, owner: str, *, is_checked: bool = False
     ) -> tuple[Run | None, Verdict | None]:
-        """Run the reference in a world; return its run, None if its process died or hung, and the verdict on it."""
+        # The run is None if the process died or hung.
         __tracebackhide__ = True
         job, isolate = self.harness.job(world, owner), self.is_apart(saved, owner)
         with (
@@ -266,13 +257,8 @@ class Replays:
             return run, verdict
 
     def _check_reference(self, runner: Here, world: BaseWorld, failure: Failure) -> None:
-        """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
-
-        Otherwise each replay that passes would be called fixed.
-
-        Raises:
-            RequestError: if it fails in the same way in random scenarios, too.
-        """
+        # If the reference fails in the same way in random scenarios, it no longer drives at all, and each replay that
+        # passes would be called fixed.
         __tracebackhide__ = True
         harness = self.harness
         try:
@@ -284,13 +270,13 @@ class Replays:
         except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.
             return
         raise AgainstError(
-            f"against ({harness.against_name}): expected a reference that drives, received {failure.kind}: "
-            f"{failure.message} in this replay and {PROBES} random scenarios; correct the reference, its factory, or "
-            "the world= in which it drives"
+            f"against ({harness.against_name}): the reference failed with {failure.kind}: {failure.message} in this "
+            f"replay and in {PROBES} random scenarios, so it never drives. Correct the reference, its factory, or the "
+            "world= in which it drives."
         )
 
     def _driven_on(self, saved: Saved, world: BaseWorld, owner: str) -> Observed:
-        """Run a scenario that passes again, and drive on after its end; a note says why that cannot be."""
+        # A note states why the run cannot continue.
         __tracebackhide__ = True
         harness = self.harness
         # A separate session replays a whole file, so it could not tell in which part a process died.
@@ -312,7 +298,7 @@ class Replays:
         return Observed(run=run, verdict=verdict, note=note, is_lost=is_lost)
 
     def _repeated(self, saved: Saved, world: BaseWorld, owner: str, now: Observed) -> Observed:
-        """Run a scenario that passes again, and drive on; the run stays the first one unless the second one failed."""
+        # The first run stays, unless the second one failed.
         __tracebackhide__ = True
         finding, (first, _) = _finding(saved), now.ran
         second = self._driven_on(saved, world, owner)
@@ -340,7 +326,7 @@ class Replays:
         return replace(failed, is_unsteady=not is_firm, note=note)
 
     def _is_repeatable(self, saved: Saved, world: BaseWorld, owner: str, run: Run) -> bool:
-        """Return whether a run that was driven on is the same run, and fails, when it is made again."""
+        # A run that continued must be the same, and fail, when it is made again.
         __tracebackhide__ = True
         try:
             again, verdict = self.tried(saved, _longer(saved, world), owner)
@@ -349,15 +335,14 @@ class Replays:
         return verdict.failed and is_same_run(run, again)
 
     def observed(self, saved: Saved, owner: str) -> Observed:
-        """Replay a saved scenario, and return all that its label follows from.
-
-        With a reference, it is known whether a failure is new with the policy, or shared with the reference, and
-        whether the reference fails where the policy passes. The reference is driven on as well.
+        """Replay a saved scenario, and return everything that determines its label.
 
         Raises:
             RequestError: if the scenario cannot be run, with the file, the line and the field; or if the reference
                 does not drive at all.
         """
+        # With a reference, it is known whether a failure is new with the policy, and whether the reference fails where
+        # the policy passes. The run of the reference is continued as well.
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
         now = self._accepted(finding, self._driven(saved, world, owner))
@@ -370,15 +355,10 @@ class Replays:
         return self._compared(saved, world, owner, now, sought)
 
     def _driven(self, saved: Saved, world: BaseWorld, owner: str) -> Observed:
-        """Replay a saved scenario without the reference, and return what is observed.
-
-        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.finding.DRIVEN_ON`. If it
-        then fails as the file says, and once more in a third run, it is the failure of the file. Any other failure in
-        that time is only a text.
-
-        A file with a rate is run ten times more, and a note says how many of these runs fail. It fails if any of them
-        does. If none fails, the pass means something unless it failed too rarely before.
-        """
+        # Without the reference. A replay that passes is run again, and continued for DRIVEN_ON. If it then fails as the
+        # file states, and once more in a third run, it is the failure of the file. Any other failure in that time is
+        # only a text. A file with a rate is run ten times more, and a note states how many of these runs fail. It fails
+        # if any of them does. If none fails, the pass means something unless it failed too rarely before.
         __tracebackhide__ = True
         finding = _finding(saved)
         changes = [] if finding.expect.is_crash else self.version_changes(finding)
@@ -400,10 +380,8 @@ class Replays:
         return now
 
     def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Observed) -> Observed:
-        """Run the scenario of a file with a rate with ten other seeds, or ten times again, and count the failures.
-
-        One of these runs must handle the situation of the file; the others may never come to it.
-        """
+        # With ten other seeds, or ten times with the same one. One of these runs must handle the situation of the file;
+        # it may never occur in the others.
         __tracebackhide__ = True
         finding, harness = _finding(saved), self.harness
         then, job = finding.rate, harness.job(world, owner)
@@ -429,42 +407,42 @@ class Replays:
         return replace(shown, is_rare=then.failing < ENOUGH, note=note, rate=rate)
 
     def version_changes(self, finding: Finding) -> list[str]:
-        """Return how the versions of packages in a file differ from those that are installed."""
+        """Return how the versions of packages differ from those in a file."""
         then, now = finding.found.versions, self.harness.versions
         other = (name for name in sorted(then) if now.get(name) != then[name])
         return [f"{name} {then[name]} then, {now.get(name, 'none')} now" for name in other]
 
     def world_changes(self, finding: Finding) -> list[str]:
-        """Return how the file's world differs from the test's world, or how the file's world cuts the run."""
+        """Return how the file's world differs from the test's world."""
+        # It may also cut the run.
         own = self.harness.world
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
     def setting_changes(self, finding: Finding) -> list[str]:
-        """Return all differences between a file and the test now that do not depend on what happens in the replay.
-
-        A replay takes place in the file's world if that is data, and in the file's traffic, whatever the test names.
-        """
+        """Return all differences that do not depend on the run of the replay."""
+        # A replay takes place in the file's world if that is data, and in the file's traffic, whatever the test
+        # specifies.
         elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
-        told = [f"run in the world of the file, which is not the test's: {elsewhere}"] if elsewhere else []
+        told = [f"run in the world of the file, not of the test: {elsewhere}"] if elsewhere else []
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
         if now is not None and now != then:
-            told.append(f"run in the traffic of the file, which is not the test's: {then} there, {now} now")
+            told.append(f"run in the traffic of the file, not of the test: {then} in the file, {now} now")
         return [*self.world_changes(finding), *told, *self.sight_change(finding)]
 
     def sight_change(self, finding: Finding) -> list[str]:
-        """Return how the ADS's sight in the file and now differ; empty if they are the same."""
+        """Return how the ADS's perception differs from the file, or an empty string."""
         then = finding.perception or Sight()
         now = self.harness.policy.sight or Sight()
         return [] if then == now else [f"found with {then.described}, run with {now.described}"]
 
     def changes(self, finding: Finding, now: str) -> str:
-        """Return the differences between a file and its replay in words; ``now`` is what happened in the replay."""
+        """Describe the differences between a file and its replay."""
         changed = [event_change(finding, now), *self.version_changes(finding), *self.setting_changes(finding)]
         return "; ".join(filter(None, changed)) or "a different run than before"
 
 
 def event_change(finding: Finding, now: str) -> str:
-    """Return how what happened in a replay differs from the event of its file; empty if the words are the same."""
+    """Return how a replay differs from the event of its file, or an empty string."""
     expect = finding.expect
     then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
     if expect.check is not None:
@@ -473,12 +451,12 @@ def event_change(finding: Finding, now: str) -> str:
 
 
 def was_lost(finding: Finding, lost: LostRun) -> bool:
-    """Return whether a file says that a process dies or hangs in its scenario, as this process did."""
+    """Return whether a file expects its run to lose the process in this way."""
     return finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
-    """Return what happened in a replay in words, in the form in which the file's failure is described."""
+    """Describe the result of a replay in the same form as the result in the file."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"
@@ -488,7 +466,6 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
 
 
 def _signature(now: Observed) -> Signature | None:
-    """Return the failure that a replay shows; None if it passes."""
     if now.verdict is not None and isinstance(now.verdict.exception, ProcessLostError):
         return expectation(now.verdict.exception).signature
     run, verdict = now.ran
@@ -496,7 +473,7 @@ def _signature(now: Observed) -> Signature | None:
 
 
 def _by_chance(finding: Finding, now: Observed, run: Run, verdict: Verdict) -> Observed:
-    """Return a replay with what a failure shows that occurs by chance, and so at no certain time."""
+    # A failure by chance occurs at no certain time.
     failure = verdict.failure if verdict.failed else None
     if failure is None:
         return now
@@ -505,11 +482,8 @@ def _by_chance(finding: Finding, now: Observed, run: Run, verdict: Verdict) -> O
 
 
 def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:
-    """Return whether the NPC of a file's collision hits the ego soon after the end of a run that passes.
-
-    It does not matter who is responsible, because the same collision may only have become another party's fault.
-    ``longer`` is the same run, driven on.
-    """
+    # It does not matter who is responsible, because the same collision may only have become another party's fault.
+    # `longer` is the same run, continued.
     expect, hit = finding.expect, longer.collision
     is_collision = expect.outcome is Outcome.COLLISION and expect.check is None and expect.npc is not None
     if not is_collision or run.collision is not None or hit is None or hit.npc != expect.npc:
@@ -523,7 +497,8 @@ def _event(outcome: Outcome, time: float) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Add the file and the line to an error in the scenario of a file, even if only a run shows the error."""
+    """Add the file and the line to an error in a saved scenario."""
+    # Only a run may show the error.
     __tracebackhide__ = True
     try:
         yield
@@ -532,7 +507,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _longer(saved: Saved, world: BaseWorld) -> BaseWorld:
-    """Return the world with runs that go on after the end of a saved scenario."""
+    # Runs continue after the end of a saved scenario.
     return world.lasting(min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON)
 
 

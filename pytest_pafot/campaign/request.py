@@ -1,4 +1,4 @@
-"""The request for one search: the checked arguments of ``@pafot.search`` or ``pafot.explore``, and the options."""
+"""The request for one search: its checked arguments and options."""
 
 from __future__ import annotations
 
@@ -33,32 +33,31 @@ from pytest_pafot.world.codec import checked_world
 from pytest_pafot.world.driving.policy import AdsFactory, hint_at_object
 from pytest_pafot.world.limits import PLANNER_HZ
 
+# The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway.
 NPCS = 4
-"""The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
+# The largest number of NPCs in a random scenario. It is lower if the ego is in an outer lane: a cell must be free.
 MOST_NPCS = 6
-"""The largest number of NPCs in a random scenario. It is lower if the ego is in an outer lane: a cell must be free."""
+# The smallest number of NPCs in a random scenario on a straight road, unless all NPCs are on the grid.
 LEAST_NPCS = 3
-"""The smallest number of NPCs in a random scenario on a straight road, unless all NPCs are on the grid."""
+# The largest number of NPCs in a random scenario on a road where they cross the ego's path. Three are enough to hide
+# one NPC behind another. With more of them, the ego would wait for the first NPC and meet the others at other times
+# than their slots, so the scenarios would show less.
 MOST_CROSSING = 3
-"""The largest number of NPCs in a random scenario on a road where they cross the ego's way.
-
-Three are enough to hide one NPC behind another. With more of them, the ego would wait for the first NPC and meet the
-others at other times than their slots, so the scenarios would show less.
-"""
+# The durations from which the gene duration of a scenario is sampled if all NPCs are on the grid [s].
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
-"""The durations from which the gene duration of a scenario is sampled if all NPCs are on the grid [s]."""
+# The same for scenarios with Lane-Instructions [s]; a change of lanes takes about 3 s, a move to a cell 5 to 10 s.
 SLICES = (2.0, 3.0, 4.0)
-"""The same for scenarios with Lane-Instructions [s]; a change of lanes takes some 3 s, a way to a cell 5 to 10 s."""
-SLICE = 3.0
-"""The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
+SLICE = 3.0  # the duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]
+# The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower.
 SLOWEST_START = 12.0
-"""The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
 Blame = Literal["any", "ego"]
 BLAMES: tuple[Blame, ...] = get_args(Blame)
 
 
 class AgainstError(RequestError):
-    """An error for a reference that cannot be compared with the policy, so that no failure would count rightly."""
+    """A reference that cannot be compared with the policy."""
+
+    # No failure would be counted correctly.
 
 
 class SpaceArguments(TypedDict, total=False):
@@ -75,7 +74,7 @@ class SpaceArguments(TypedDict, total=False):
 
 
 class CommonArguments(SpaceArguments, total=False):
-    """The types of the arguments of :func:`pytest_pafot.search` that are settings of ``pafot.explore``, too."""
+    """The types of the arguments of a search that ``pafot.explore`` also has."""
 
     fitness: FitnessName | Fitness
     blame: Blame
@@ -86,7 +85,7 @@ class CommonArguments(SpaceArguments, total=False):
 
 
 class SearchArguments(CommonArguments, total=False):
-    """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
+    """The types of the arguments of :func:`pytest_pafot.search`."""
 
     world: BaseWorld | str
     ads: AdsFactory | str
@@ -110,29 +109,25 @@ class Request:
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
-        """Return an option as the user gives it to this search: on the command line, or as an argument in a script."""
+        """Return an option in the form in which the user can set it."""
         return flag(name, value) if self.place.startswith("@") else f"{name}={'...' if value is None else repr(value)}"
 
     def error(self, arguments: str, problem: object) -> RequestError:
-        """Return an error about one or more arguments, which are written like ``world=...``."""
+        """Return an error about arguments, which are written like ``world=...``."""
         return RequestError(f"{self.place}({arguments}): {problem}")
 
 
 def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
-    """Return the checked request for some arguments, including ``ads``. Values of options are in ``settings``.
-
-    Raises:
-        RequestError: on the first wrong argument.
-    """
+    """Return the checked request for arguments, or raise a RequestError."""
     try:
         algorithm = resolve_algorithm(settings.algorithm or ("pafot" if settings.generations else "random"))
     except ValueError as error:
         raise RequestError(str(error)) from error
     if algorithm.draws_by_number and settings.generations:
         raise RequestError(
-            f"generations: expected a limit that {algorithm.name!r} can reach, received {settings.generations} "
-            f"generations, which only algorithms that breed have; give a number of runs, or leave the algorithm out, "
-            "since generations are by default those of the paper's algorithm, pafot"
+            f"generations: expected no generations for {algorithm.name!r}, received {settings.generations}. Only "
+            "algorithms that breed have generations. Give a number of runs, or omit the algorithm: with generations, "
+            "the default is the paper's algorithm, pafot."
         )
     names = ("ads", "blame", "world")
     own = {name: arguments[name] for name in names if name in arguments}
@@ -160,12 +155,12 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     if request.blame not in BLAMES:
         raise request.error(
             "blame=...",
-            f"expected one of {', '.join(BLAMES)}, received {request.blame!r}; use blame='ego', which counts all "
-            "failures but collisions by the fault of an NPC alone",
+            f"expected one of {', '.join(BLAMES)}, received {request.blame!r}. blame='ego' counts all "
+            "failures except collisions for which only an NPC is at fault",
         )
     for name in BUDGETS:
         if arguments.get(name) is not None and int(arguments[name]) == 0:  # a text, too; such a search always passes
-            problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('runs', 0)}"
+            problem = f"expected at least 1, because 0 {name} test nothing. To only replay, use {flag('runs', 0)}"
             raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
@@ -177,23 +172,19 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
 
 
 def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> None:
-    """Check that the names of arguments exist.
-
-    Raises:
-        RequestError: on the first unknown name. The message suggests a similar name.
-    """
+    """Raise a RequestError for an unknown name, with a similar one."""
     known = SearchArguments.__annotations__
     unknown = next((name for name in arguments if name not in known), None)
     if unknown is None:
         return
     if unknown in BY_NAME:
         raise RequestError(
-            f"{place}({unknown}=...): this applies to the whole session; give {BY_NAME[unknown].flag} on the command "
-            "line"
+            f"{place}({unknown}=...): this option applies to the whole session. Use {BY_NAME[unknown].flag} on the "
+            "command line."
         )
     if unknown in {each.name for each in fields(Highway)}:
         raise RequestError(
-            f"{place}({unknown}=...): expected an argument of a search, received one of its world; write "
+            f"{place}({unknown}=...): expected an argument of a search, received one of a world. Write "
             f"world=pafot.Highway({unknown}=...)"
         )
     near = difflib.get_close_matches(unknown, known, n=1)
@@ -204,11 +195,10 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
 def build_world(request: Request, fixture_world: Any) -> BaseWorld:
     """Return the world of a search: the mark's world, or else the fixture's.
 
-    If the mark gives no world but the length of the chains, runs on the fixture's Highway last as long as the chains.
-
     Raises:
         RequestError: if the chains do not fit the world, or if the fixture gives no world.
     """
+    # If the mark gives no world but the length of the chains, runs on the fixture's Highway are as long as the chains.
     if request.world is not None:
         return request.world  # type: ignore[no-any-return]  # which has been checked
     if isinstance(fixture_world, Highway) and not {"genes", "gene_seconds"}.isdisjoint(request.space):
@@ -217,17 +207,16 @@ def build_world(request: Request, fixture_world: Any) -> BaseWorld:
             fixture_world = replace(fixture_world, duration=space.genes * space.gene_seconds)
         except (TypeError, ValueError) as error:
             raise request.error(", ".join(request.space), error) from None
-    return _refuse_other_worlds(fixture_world, "expected the fixture pafot_world to give")
+    return _refuse_other_worlds(fixture_world, "expected the fixture pafot_world to return")
 
 
 def build_space(request: Request, world: BaseWorld) -> SearchSpace:
     """Return the space of scenarios in which a search samples.
 
-    Unless the mark gives the number of genes in a chain, the chains last as long as a run in the world.
-
     Raises:
         RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
+    # Unless the mark gives the number of genes in a chain, the chains are as long as a run in the world.
     given = ", ".join(request.space)
     try:
         # The algorithm declares what it can do. An error of the space would not say that it cannot.
@@ -243,8 +232,8 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
         if odd := next((each for each in vehicles if not world.can_drive(each)), None):
             raise request.error(
                 "vehicles=...",
-                f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
-                "follow tight bends",
+                f"expected vehicles that fit the roads of {world!r:.100}, received {odd.described}. A long vehicle "
+                "cannot follow tight curves",
             )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
@@ -253,7 +242,7 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
         # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
         space = world.space({**drawn, **request.space})
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
-        sample(space, rng_of(0))  # so that a wrong argument is one clear error before the search begins
+        sample(space, rng_of(0))  # so that a wrong argument is one clear error before the search starts
     except WorldError as error:
         raise request.error("world=...", error) from None
     except (TypeError, ValueError) as error:
@@ -262,12 +251,10 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
 
 
 def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
-
-    NPCs are hostile. If other ways meet the ego's way, most NPCs cross from there.
-    The other defaults are only for a straight road. The start is random only on a Highway, and in a user's simulator,
-    because an environment defines how its ego starts.
-    """
+    """Return the default arguments of the space for most algorithms."""
+    # Algorithms that are not bound to the paper's space use them: NPCs are hostile. If other paths meet the ego's path,
+    # most NPCs cross from there. The other defaults are only for a straight road. The start is random only on a
+    # Highway, and in a user's simulator, because an environment defines how its ego starts.
     drawn: dict[str, Any] = {"traffic": given.get("traffic", HOSTILE)}
     in_lanes = given.get("instructions") != "cells"
     if in_lanes:
@@ -304,7 +291,6 @@ def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default arguments of the search space if other ways meet the ego's way in a world; otherwise none."""
     crossings = world.crossings
     if crossings is None:
         return {}
@@ -313,11 +299,7 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
 
 
 def _refuse_other_worlds(given: Any, start: str) -> BaseWorld:
-    """Return a world of this package.
-
-    Raises:
-        RequestError: for anything else, in a sentence with this start.
-    """
+    # A world of this package, or an error that starts with `sentence`.
     try:
         return checked_world(given)
     except WorldError as error:
@@ -326,16 +308,17 @@ def _refuse_other_worlds(given: Any, start: str) -> BaseWorld:
 
 
 def named_world(reference: str, place: str, *, config: dict[str, Any] | None = None, is_planner: bool = False) -> Any:
-    """Return the world of a text: an environment by its id, or by ``module:id``, or what ``module:factory`` returns.
+    """Return the world that a string such as ``module:factory`` names.
 
     Args:
-        reference: the text. Its module is imported, also for an environment, which it may register.
-        place: the argument or option that has the text, for errors.
-        config: the options of an environment that is named by its id.
+        reference: the id of an environment, ``module:id``, or ``module:factory``. The module is imported,
+            because it can register the environment.
+        place: the argument or option that has the string, for errors.
+        config: the options of an environment.
         is_planner: whether the ADS in that environment is a planner in SI units.
 
     Raises:
-        RequestError: if the text names no world.
+        RequestError: if the string names no world.
     """
     module, colon, name = reference.partition(":")
     is_factory = name.partition(":")[0].isidentifier()
@@ -344,29 +327,29 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
             imported(reference)
         if not is_factory:
             return World(name or module, config, planner_hz=PLANNER_HZ if is_planner else None)
-        factory = factory_named(reference, "a factory of a world")
+        factory = factory_named(reference, "a factory that returns a world")
     except ValueError as error:
         raise RequestError(f"{place}: {error}") from error
     if config is not None:
-        fix = "write the options into the factory, as in pafot.World(..., config=...)"
+        fix = "set the options in the factory, as in pafot.World(..., config=...)"
         raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}; {fix}")
     try:
         made = factory()
     except (Exception, SystemExit) as error:
         # If its own code has not begun, it was called with too few arguments, or too many.
         begun = not isinstance(error, TypeError) or error.__traceback__ is None or error.__traceback__.tb_next
-        fix = "correct it" if begun else "its argument is a text in the reference: module:factory:argument"
+        fix = "correct it" if begun else "add its argument to the string, as in module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
-        raise RequestError(f"{place}: expected a factory of a world, received {received}; {fix}") from error
-    _refuse_other_worlds(made, f"{place}: expected that the factory {reference!r} returns")
+        raise RequestError(f"{place}: expected a factory that returns a world, received {received}; {fix}") from error
+    _refuse_other_worlds(made, f"{place}: expected the factory {reference!r} to return")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
-        fix = "let the factory return pafot.World(..., planner_hz=5)"
+        fix = "return pafot.World(..., planner_hz=5) from the factory"
         raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
     return made
 
 
 def hint_at_world(given: Any) -> str:
-    """Return the way out for what is no world; empty if it is nothing that is known to be part of one."""
+    """Return the fix for a part of a world, or an empty string."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""

@@ -1,8 +1,6 @@
-"""What is left of a run when its trace is gone, and the one rule by which runs are counted.
-
-The process that drives a scenario judges the run as well, and keeps its trace, which is large. It sends a
-:class:`Result`, or for runs of which nothing else need be known, their :class:`Counts`.
-"""
+"""What remains of a run without its trace, and how runs are counted."""
+# The process that simulates a scenario also evaluates the run, and keeps its trace, which is large. It sends a Result,
+# or Counts of runs of which nothing else needs to be known.
 
 from __future__ import annotations
 
@@ -29,80 +27,58 @@ from pytest_pafot.support.references import policy_name
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
 
+# The kinds of verdicts on runs that failed, including failures that do not count for some reason.
 FAILING = ("failed", "common")
-"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 Fails = Literal["", "ego", "check", "otherwise"]
 
+# For each known failure the closing speed up to which it is accepted [m/s], and the id of the file that says so.
 Accepted = dict[Signature, tuple[float, str]]
-"""For each known failure the closing speed up to which it is accepted [m/s], and the id of the file that says so."""
 
-UNJUDGED = ("npc", "invalid")
-"""The kinds of verdicts on runs for which the test function was not called."""
+UNJUDGED = ("npc", "invalid")  # the kinds of verdicts on runs for which the test function was not called
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """A failure that counts and that was not known where it was driven.
+    """A failure that counts and was not known where it was simulated."""
 
-    Attributes:
-        signature: its identity.
-        finding: the content of its file, except for the number of the generation.
-        headline: one line on it.
-        text: what was raised, in the words of a failure without a traceback.
-        trace: the run, which another run of the scenario repeats; None if wall-clock time decides what happens.
-        drew: whether the policy drew random numbers.
-    """
-
-    signature: Signature
-    finding: Finding
-    headline: str
-    text: str
+    signature: Signature  # the identity
+    finding: Finding  # the content of the file, except for the number of the generation
+    headline: str  # one line on the failure
+    text: str  # what was raised, in the words of a failure without a traceback
+    # The run, which another run of the scenario repeats; None if wall-clock time decides what happens.
     trace: Trace | None
-    drew: bool
+    drew: bool  # whether the policy drew random numbers
 
     def found_in(self, generation: int) -> Finding:
-        """Return the content of its file, with the number of the generation, which is counted from 0."""
+        """Return the content of the file, with a generation from 0."""
         return replace(self.finding, found=replace(self.finding.found, generation=generation))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The part of a run that a search needs.
+    """The part of a run that a search needs."""
 
-    Attributes:
-        evaluation: what the algorithm sees of the run. Its kind is the signature of a failure that counts.
-        kind: the kind of the verdict.
-        ended: how the run ended; ``lost`` if its process died or hung.
-        responsible: the side responsible for the collision; None if neither is, or there is none.
-        fails: how the run failed, also if that does not count: by a collision for which the ego is responsible, alone
-            or with the NPC, by a check, or otherwise; empty if it passed.
-        decisions: the number of decisions of the ADS.
-        severity: the severity of a failure; None if nothing measures it.
-        failed: a failure that counts, if it is not known; otherwise None.
-        cause: the cause of a failure that can be a fault of the set-up; otherwise None.
-        caught: the names of checks that failed although the test function passed.
-        doubt: see :func:`~pytest_pafot.campaign.harness.unit_doubt`.
-        broken: how the reference itself failed in the scenario; empty if it did not, None if it was not driven.
-    """
-
+    # What the algorithm sees of the run, with the signature of a failure that counts as its kind.
     evaluation: Evaluation
-    kind: str
-    ended: str
-    responsible: str | None = None
+    kind: str  # kind of the verdict
+    ended: str  # how the run ended; `lost` if its process died or hung
+    responsible: str | None = None  # side responsible for the collision, or None
+    # How the run failed, even if that does not count: by a collision for which the ego is responsible, alone or with
+    # the NPC, by a check, or otherwise; empty if it passed.
     fails: Fails = ""
-    decisions: int = 0
-    severity: Severity | None = None
-    failed: Failed | None = None
-    cause: Cause | None = None
-    caught: tuple[str, ...] = ()
-    doubt: str = ""
+    decisions: int = 0  # number of decisions of the ADS
+    severity: Severity | None = None  # severity of a failure; None if nothing measures it
+    failed: Failed | None = None  # a failure that counts, if it is not known
+    cause: Cause | None = None  # cause of a failure that can be a fault of the set-up
+    caught: tuple[str, ...] = ()  # names of checks that failed although the test function passed
+    doubt: str = ""  # see `harness.unit_doubt`
+    # How the reference itself failed in the scenario; empty if it did not, None if it was not run.
     broken: str | None = None
 
     def beside(self, reference: Verdict) -> Self:
-        """Return the result of a failure with the verdict on the reference in its scenario.
-
-        If the reference does not pass, the failure does not count. If its run is invalid, nobody knows whether it does.
-        """
+        """Return the result together with the verdict on the reference."""
+        # If the reference does not pass, the failure does not count. If the reference's run is invalid, that is
+        # unknown.
         failure = reference.failure if reference.is_ads else None
         broken = "" if failure is None else f"{failure.kind}: {failure.message}"
         if reference.passes:
@@ -114,24 +90,17 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examiner:
-    """The examination of a run in the process that drove it.
+    """The examination of a run in the process that simulated it."""
 
-    Attributes:
-        harness: has the test function.
-        fitness: the fitness of a run.
-        seed: the seed of the search.
-        note: returns what a table of runs needs of a run, which becomes the note of its evaluation; None without table.
-        accepted: the failures that saved scenarios show.
-    """
-
-    harness: Harness
-    fitness: Callable[[Run], float]
-    seed: int
+    harness: Harness  # has the test function
+    fitness: Callable[[Run], float]  # fitness of a run
+    seed: int  # seed of the search
+    # Returns what a table of runs needs, as the note of an evaluation; None without a table.
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
-    accepted: Accepted = field(default_factory=dict)
+    accepted: Accepted = field(default_factory=dict)  # the failures that saved scenarios show
 
     def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
-        """Judge a run, and return what is left of it; of ``known`` failures nothing is left but their signature."""
+        # Only the signature of `known` failures is kept.
         __tracebackhide__ = True
         run = self.harness.run_of(trace)
         verdict = self.harness.judge(run)
@@ -167,13 +136,14 @@ class Examiner:
         )
 
     def signature_of(self, run: Run, verdict: Verdict) -> Signature | None:
-        """Return the signature of a failure that counts; None if there is none."""
+        """Return the signature of a failure that counts, or None."""
         if not verdict.failed or verdict.failure is None:
             return None
         return self.beside_accepted(of_failure(run, verdict.failure), verdict.severity)
 
     def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
-        """Return the signature of a failure, which is another one if it is worse than what is accepted."""
+        """Return the signature of a failure, compared with what is accepted."""
+        # It is another one if the failure is worse than what is accepted.
         most, id_ = self.accepted.get(signature, (math.inf, ""))
         return replace(signature, worse_than=id_) if is_faster(severity, most) else signature
 
@@ -200,18 +170,16 @@ class Examiner:
 
 
 def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
-    """Return the origin of a finding of a search, or of what ``algorithm`` names instead."""
+    """Return the origin of a finding of a search."""
     algorithm = algorithm or harness.request.algorithm.name
     policy = policy_name(harness.policy.factory)
     return Found(seed=seed, generation=generation, algorithm=algorithm, policy=policy, versions=harness.versions)
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
-    """Return the result of a scenario in which a process died or hung, from which an algorithm learns nothing.
-
-    ``death`` is None if it did so before, and the scenario was not run again. It ``is_common`` if the reference does
-    not pass the scenario either.
-    """
+    """Return the result of a scenario in which a process died or hung."""
+    # An algorithm learns nothing from it. `death` is None if it did so before, and the scenario was not run again. It
+    # `is_common` if the reference does not pass the scenario either.
     expect = None if death is None or is_common else expectation(death)
     evaluation = Evaluation(
         scenario=scenario,
@@ -231,32 +199,25 @@ def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) 
 
 @dataclass(slots=True, kw_only=True)
 class Counts:
-    """The counts of some runs, which become those of more runs by ``+=``.
+    """The counts of some runs."""
 
-    Attributes:
-        kinds, outcomes, responsibilities: numbers of runs by kind of verdict, by outcome, and by who was responsible,
-            or ``none``; each adds up to the number of runs.
-        fails: numbers of those runs that say something about the ego, by how they failed, see :class:`Result`.
-        failures: all runs with each failure that counts.
-        causes: numbers of runs by the cause of what may be a fault of the set-up.
-        caught: numbers of passed runs by the names of checks that failed in them.
-        decisions: the number of decisions of the ADS.
-        health: the figures that say whether the runs tested anything.
-        doubt, broken: see :class:`Result`, of the first run with one; ``broken`` is empty if the reference did
-            not itself fail in one of the scenarios.
-    """
+    # `+=` adds the counts of more runs.
 
+    # Numbers of runs by kind of verdict; like the next two, it adds up to the number of runs.
     kinds: Counter[str] = field(default_factory=Counter)
-    outcomes: Counter[str] = field(default_factory=Counter)
-    responsibilities: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)  # numbers of runs by outcome
+    responsibilities: Counter[str] = field(default_factory=Counter)  # numbers of runs by who was responsible, or `none`
+    # Numbers of runs that say something about the ego, by how they failed, see Result.
     fails: Counter[str] = field(default_factory=Counter)
-    failures: dict[Signature, Alike] = field(default_factory=dict)
+    failures: dict[Signature, Alike] = field(default_factory=dict)  # all runs with each failure that counts
+    # Numbers of runs by the cause of what may be a fault of the set-up.
     causes: Counter[Cause] = field(default_factory=Counter)
+    # Numbers of passed runs by the names of checks that failed in them.
     caught: Counter[str] = field(default_factory=Counter)
-    decisions: int = 0
-    health: Health = field(default_factory=Health)
-    doubt: str = ""
-    broken: str | None = None
+    decisions: int = 0  # number of decisions of the ADS
+    health: Health = field(default_factory=Health)  # figures that show whether the runs tested anything
+    doubt: str = ""  # of the first run with one, see Result
+    broken: str | None = None  # Of the first run with one, see Result. Empty if the reference never failed itself.
 
     @property
     def runs(self) -> int:
@@ -265,13 +226,14 @@ class Counts:
 
     @property
     def is_alike(self) -> bool:
-        """True if all runs that were judged had the same cause, which may be a fault of the set-up."""
+        """True if all evaluated runs had the same cause."""
+        # It may be a fault of the set-up.
         judged = self.runs - sum(self.kinds[kind] for kind in UNJUDGED)
         return len(self.causes) <= 1 and self.causes.total() == judged
 
     @classmethod
     def of(cls, result: Result, number: int = 0) -> Self:
-        """Count one run, whose number in the search counts from 0."""
+        """Count one run, with a number from 0 in the search."""
         evaluation, counts = result.evaluation, cls()
         counts.kinds[result.kind] = 1
         counts.outcomes[result.ended] = 1
@@ -290,7 +252,7 @@ class Counts:
         return counts
 
     def __iadd__(self, other: Counts) -> Self:
-        """Count more runs, which come after these."""
+        # The other runs come after these.
         for name in _COUNTERS:
             getattr(self, name).update(getattr(other, name))
         for signature, more in other.failures.items():
@@ -310,18 +272,13 @@ _COUNTERS = [each.name for each in fields(Counts) if str(each.type).startswith("
 
 @dataclass(slots=True, kw_only=True)
 class Driver:
-    """The driving of chunks of a random search in the processes that run its scenarios.
+    """The simulation of chunks of a random search in other processes."""
 
-    Attributes:
-        examiner: examines each run.
-        drawn: returns the scenario of a number; None before the search begins.
-    """
-
-    examiner: Examiner
-    drawn: Callable[[int], Scenario] | None = None
+    examiner: Examiner  # examines each run
+    drawn: Callable[[int], Scenario] | None = None  # returns the scenario of a number; None before the search starts
 
     def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
-        """Draw and drive the scenarios of a chunk, and say what comes of them."""
+        """Sample and simulate the scenarios of a chunk, and yield the results."""
         assert self.drawn is not None  # noqa: S101  (only then there are tasks)
         known = set(chunk.known)
         examine = partial(self.examiner, known=known)
@@ -347,7 +304,7 @@ class Driver:
             if isinstance(made, Result):
                 say((made, said, took))
                 known |= {made.evaluation.kind} - {None}
-            else:  # Only the session may run it, or judge it.
+            else:  # Only the session may run it, or evaluate it.
                 say((None, CapturedOutput(), 0.0))
         if counts.runs:
             say((counts, output, seconds))
@@ -355,14 +312,14 @@ class Driver:
 
 @dataclass(slots=True, kw_only=True)
 class State:
-    """A search in progress, with everything that it has seen so far."""
+    """A search in progress, with all that it has seen so far."""
 
     counts: Counts = field(default_factory=Counts)  # of all its runs
     fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
     is_random: bool = False  # whether all its scenarios are random
     space: SearchSpace | None = None  # None for replays only
     clock: Callable[[], float] = monotonic  # returns the seconds since some moment
-    began: float = 0.0  # the time at which this session began [s]
+    began: float = 0.0  # the time at which this session started [s]
     shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by their failure
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     is_set_up: bool = False  # whether it is known that the set-up has no fault
@@ -370,7 +327,7 @@ class State:
     first_skipped: Scenario | None = None  # the first scenario that the test function skipped
     shrink_runs: int = 0  # number of attempts to shrink findings, and of runs for rates
     shrink_decisions: int = 0  # that the ADS made in these
-    moment_runs: int = 0  # number of runs in which the ADS is asked again beside a run
+    moment_runs: int = 0  # number of runs in which the ADS is called again next to a run
     moment_decisions: int = 0  # that the ADS made in these
     generation: int = 0  # generation of the main search, from 0
     finished: CampaignFinished | None = None  # the last event of the plan
@@ -382,17 +339,17 @@ class State:
 
     @property
     def is_alike(self) -> bool:
-        """True as long as all runs may show the same fault of the set-up."""
+        """True while all runs may show the same fault of the set-up."""
         return not self.is_set_up and self.counts.is_alike
 
     @property
     def known(self) -> Set[Signature]:
-        """The failures that a saved scenario shows, or that this search has found before."""
+        """The failures that are saved or were found before in this search."""
         return self.shown.keys() | self.finds.keys()
 
     @property
     def covered(self) -> Counter[str]:
-        """The numbers of runs with the failure of a saved scenario, by its id."""
+        """The numbers of runs with the failure of a saved scenario, by id."""
         covered = Counter[str]()
         for signature, alike in self.counts.failures.items():
             if signature in self.shown:
@@ -400,20 +357,20 @@ class State:
         return covered
 
     def alike(self, find_id: str) -> Alike:
-        """Return how many other runs failed like a new finding, and the worst of them all."""
+        """Return how many other runs failed like a new finding, and the worst."""
         signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
         kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
         return replace(kept, runs=kept.runs - 1)  # -1 if no run of the search failed, such as for a death in shrinking
 
     @property
     def failures(self) -> dict[Signature, str]:
-        """The ids of findings, saved or new, by the failures that this search showed."""
+        """The ids of findings, saved or new, by failure."""
         shown = {each: self.shown[each] for each in self.counts.failures if each in self.shown}
         return shown | self.finds
 
     @property
     def known_alone(self) -> str:
-        """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
+        """A note if only known failures of checks occurred, or an empty string."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
         covered = self.covered
         if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
@@ -423,24 +380,25 @@ class State:
         return f"all {plural(covered.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
-        """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
+        """Return warnings about the health of the search."""
+        # For example, about a test or reference with which nothing can fail.
         counts = self.counts
         warnings = counts.health.warnings()
         excused = counts.kinds["npc"]
         if excused and not counts.kinds["passed"] and not counts.kinds["failed"]:
             warnings.append(
-                f'the test function judged nothing: blame="{harness.request.blame}" excludes all '
-                f"{plural(excused, 'failure')} that it could judge; search longer"
+                f'the test function was never called: blame="{harness.request.blame}" excludes all '
+                f"{plural(excused, 'failure')} of this search. Search longer"
             )
         warnings += [
-            f"check {name!r} failed in {runs} of {counts.kinds['passed']} runs that passed: the test function "
-            "caught its exception; do not catch it, or use pafot.target, which never fails"
+            f"check {name!r} failed in {runs} of {counts.kinds['passed']} runs that passed, because the test function "
+            "caught its exception. Do not catch it, or use pafot.target, which never fails"
             for name, runs in sorted(counts.caught.items())
         ]
         if counts.broken:
             warnings.append(
                 f"the reference itself failed in all its runs, at first with {counts.broken}, so no failure could "
-                "count; correct the reference, its factory, or the world= in which it drives"
+                "count. Correct the reference, its factory, or the world= in which it drives"
             )
         return tuple(warnings)
 
@@ -458,6 +416,7 @@ class State:
             self.first_skipped = self.first_skipped or result.evaluation.executed
 
     def forget_findings(self) -> None:
-        """Forget the failures of a search whose set-up is at fault: they must not count as findings or as known."""
+        """Forget the failures of a search with a fault in its set-up."""
+        # They must not count as findings or as known.
         self.counts.failures.clear()
         self.finds.clear()

@@ -1,4 +1,4 @@
-"""The table of a search, with a row for each scenario that was tried, whether it failed or not."""
+"""The table of a search, with a row for each scenario."""
 
 from __future__ import annotations
 
@@ -16,52 +16,51 @@ from pytest_pafot.searching.evaluation import Evaluated
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",
     "seed": "seed of the search",
-    "run": "number of the row, from 1",
-    "generation": "its number, from 0",
-    "local_generation": "number in a local search from 1, or 0",
+    "run": "number of the row, counted from 1",
+    "generation": "number of the generation, counted from 0",
+    "local_generation": "number of the local generation, counted from 1; 0 outside a local search",
     "scenario": "id of the scenario, six digits",
-    "scenario_seed": "its own seed",
+    "scenario_seed": "seed of the scenario",
     "reused": "True if an earlier run showed the result",
-    "ego_lane": "the ego's first lane",
-    "ego_speed": "the ego's first speed [m/s]",
+    "ego_lane": "the ego's initial lane",
+    "ego_speed": "the ego's initial speed [m/s]",
     "npcs": "number of NPCs",
     "gene_seconds": "duration of an instruction [s]",
-    "traffic": "its style; `paper` in a world without styles",
-    "vehicles": "JSON: of the NPCs, up to the last that is no car",
+    "traffic": "style of the traffic; `paper` in a world without styles",
+    "vehicles": "JSON: vehicles of the NPCs, up to the last one that is not a car",
     "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "passed, failed, npc (an NPC's fault, which blame excludes), common (the reference fails, too), "
     "invalid, rejected or skipped",
     "failing": "True if the run counts as a failure",
-    "fitness": "higher is worse for the ego",
+    "fitness": "fitness of the run; higher is worse for the ego",
     "duration": "simulated time [s]",
-    "collision_time": "its time [s]",
-    "npc": "NPC that was hit, from 0",
+    "collision_time": "time of the collision [s]",
+    "npc": "NPC that was hit, counted from 0",
     "side": "side of the ego that was hit",
-    "closing_speed": "at the impact [m/s]",
-    "responsibility": "ego, npc, both or none",
+    "closing_speed": "closing speed at the impact [m/s]",
+    "responsibility": "who is responsible: ego, npc, both or none",
     "fault": "fault of the ego, such as `leader-unanswered`",
-    "kind": "short name of the failure, which different ones may share",
-    "least_gap": "between the boxes of ego and NPC [m]",
-    "least_time_to_contact": "with an NPC [s]",
-    "hardest_braking": "of the ego [m/s^2]",
-    "margins": "JSON: the worst of each check, negative if it failed",
+    "kind": "short name of the failure; different failures can have the same name",
+    "least_gap": "smallest gap between the boxes of ego and NPC [m]",
+    "least_time_to_contact": "smallest time to contact with an NPC [s]",
+    "hardest_braking": "hardest braking of the ego [m/s^2]",
+    "margins": "JSON: the worst margin of each check, negative if it failed",
 }
-"""The columns of the table in their order, with their meaning. A cell without a value is empty."""
+"""The columns of the table in order, with their meanings. A cell without a value is empty."""
 
 Row = dict[str, Any]
 
 
 @dataclass(slots=True)
 class RunTable:
-    """A collector of rows from the events of a search whose evaluations have notes, see :func:`note_of`."""
+    """A collector of rows from the events of a search with notes."""
 
     test: str = ""
     seed: int = 0
     rows: list[Row] = field(default_factory=list)
 
     def see(self, event: SearchEvent) -> None:
-        """Process an event of the search."""
         match event:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
@@ -71,7 +70,7 @@ class RunTable:
 
 
 def row_of(event: Evaluated) -> Row:
-    """Return the columns of a row that an evaluation shows, without the search and the number of the run."""
+    """Return the columns of a row that an evaluation shows."""
     evaluation, reused = event.evaluation, event.reused
     scenario, hit, kind = evaluation.scenario, evaluation.collision, evaluation.kind
     row = dict.fromkeys(COLUMNS) | {
@@ -100,7 +99,7 @@ def row_of(event: Evaluated) -> Row:
 
 
 def note_of(run: Run, verdict: Verdict) -> Row:
-    """Return the columns of a row that only the run itself and its verdict show, as the note of its evaluation."""
+    """Return the columns that only the run itself and its verdict show."""
     blame = None if run.collision is None else run.attribution
     return {
         "verdict": verdict.kind,

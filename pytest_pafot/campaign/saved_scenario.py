@@ -1,4 +1,4 @@
-"""A saved scenario outside of pytest: the content of its file, and a replay with an ADS."""
+"""A saved scenario outside of pytest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pytest_pafot.world.guard.chance import GENERATORS
 def load(path: str | os.PathLike[str]) -> SavedScenario:
     """Load a saved scenario from its file. Nothing in the file is run as code.
 
-    A text may also be the id of a saved scenario below the current folder, or the name of its item as pytest prints it.
+    The argument may also be the id of a saved scenario below the current folder, or the name of its item.
 
     Raises:
         CorpusError: for any error in the file, with the line, the field and the way out.
@@ -38,7 +38,7 @@ class SavedScenario:
 
     Attributes:
         path: the path of the file.
-        finding: everything that the file says, such as ``finding.test``.
+        finding: the content of the file, such as ``finding.test``.
     """
 
     path: Path
@@ -46,7 +46,7 @@ class SavedScenario:
 
     @property
     def id(self) -> str:
-        """The id of the finding, which is the file's name without its suffix."""
+        """The id of the finding."""
         return self.finding.id
 
     @property
@@ -56,7 +56,7 @@ class SavedScenario:
 
     @property
     def expect(self) -> Expect:
-        """The result of a run that is expected as long as the failure is not fixed."""
+        """The expected result of a run, until the failure is fixed."""
         return self.finding.expect
 
     @property
@@ -64,14 +64,14 @@ class SavedScenario:
         """The world that the file describes.
 
         Raises:
-            CorpusError: if the world is code, which files do not contain, or if it cannot be made on this machine.
+            CorpusError: if the world is code, or cannot be made on this machine.
         """
         if codec.is_code(self.finding.world):
             code = WorldError(
                 field="world",
                 expected="a world that is data",
                 received=shown(dict(self.finding.world)),
-                fix="a file contains no code: give the world itself, as in replay(ads, world=...) or by --world",
+                fix="a file contains no code: pass the world itself, as in replay(ads, world=...) or --world",
             )
             raise reader.located(self.path, "world", code)
         try:
@@ -80,30 +80,27 @@ class SavedScenario:
             raise reader.located(self.path, "world", error) from None
 
     def check_fits(self, world: BaseWorld) -> None:
-        """Refuse a world that the scenario does not fit.
-
-        Raises:
-            CorpusError: if it does not; the message names the line of the scenario.
-        """
+        """Raise a CorpusError if the scenario does not fit a world."""
         try:
             world.check_fits(self.scenario)
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from error
 
     def replay(self, ads: AdsFactory, *, world: BaseWorld | None = None) -> Run:
-        """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
+        """Run the scenario once, without a verdict.
 
-        The run ends where the scenario ends. A world's method ``lasting`` makes a world of longer runs.
+        Pass the run to the test function or to :meth:`matches`. The run ends where the scenario ends. To continue it,
+        use a world from the method ``lasting``.
 
         Args:
             ads: the factory, or a highway-env vehicle class.
-            world: a world to use in place of the file's world; required if the file's world is code.
+            world: a world to use instead of the file's world; required if the file's world is code.
 
         Raises:
             CorpusError: if the file's world cannot be made, if the scenario does not fit the world, or if a process
-                died in this scenario, as this process would.
+                died in this scenario.
             AdsFactoryError: if ``ads`` does not return an ADS.
-            WorldError: if ``world`` is none.
+            WorldError: if ``world`` is no world.
         """
         if self.expect.is_crash:
             expected, received = "a scenario that does not end its process", "a scenario in which a process died"
@@ -118,7 +115,7 @@ class SavedScenario:
         return world.run_of(trace)
 
     def matches(self, run: Run) -> bool:
-        """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.
+        """Return whether a run ends as the file expects, within 0.2 s.
 
         Raises:
             ValueError: if the file describes a failed check, which only the test function can measure.

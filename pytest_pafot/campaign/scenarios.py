@@ -1,7 +1,6 @@
-"""The scenarios of a search in their order, and what became of each, whoever has run it.
-
-There is a class for random scenarios, which are drawn by their numbers, and one for those that an algorithm breeds.
-"""
+"""The scenarios of a search in order, and their results."""
+# There is a class for random scenarios, which are drawn by their numbers, and one for scenarios that an algorithm
+# breeds.
 
 from __future__ import annotations
 
@@ -21,47 +20,45 @@ from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import CampaignFinished, CampaignStarted, EndReason, Evaluated, Evaluation, Event
 from pytest_pafot.searching.plan import Algorithm, Plan
 
+# The time that the runs of a chunk take together [s]: long compared to the time of a message, short compared to a
+# search.
 CHUNK_SECONDS = 0.05
-"""The time that the runs of a chunk take together [s]: long beside the time of a message, short beside a search."""
 
+# The shortest time of the runs to come for which other processes are started [s], which takes some tenths of a second.
 WORTH_SECONDS = 0.3
-"""The least time of the runs to come for which other processes are started [s], which takes some tenths of a second."""
 
+# The number of chunks for each process that are given before the first of them is counted: runs differ in length, and
+# nobody should wait for a long one.
 CHUNKS_AHEAD = 8
-"""The number of chunks for each process that are given before the first of them is counted: runs differ in length, and
-nobody should wait for a long one."""
 
+# The number of runs at the beginning that must not all end in the same exception, which would be the set-up's.
 FIRST = 16
-"""The number of runs at the beginning that must not all end in the same exception, which would be the set-up's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Early:
-    """The result of a scenario before its turn, which has failed, and its number."""
+    """A failing result before its turn, and its number."""
 
     result: Result
     number: int
 
 
+# The result of the next scenario of a search, or of several:
+# - A result is that of its run, in this process or in another one.
+# - Counts are those of one or several runs that another process has made.
+# - A lost run says how the process of the scenario died or hung.
+# - An early result is of a later scenario that has already run. It is returned again in its turn, and the next scenario
+#   stays the same.
+# - An evaluation is that of an earlier run, which shows the result of the scenario.
+# - Events describe a generation without any scenario.
+# - None means that the scenario is not run, because a process died in it before.
 Done = Result | Counts | LostRun | Early | Evaluation | Sequence[Event] | None
-"""What became of the next scenario of a search, or of the next ones.
-
-- A result is that of its run, in this process or in another one.
-- Counts are those of one or several runs that another process has made.
-- A lost run says how the process of the scenario died or hung.
-- An early result is of a later scenario, which has run meanwhile. It is returned again in its turn, and the next
-  scenario is still the same.
-- An evaluation is that of an earlier run, which shows what the scenario does.
-- Events tell of a generation without any scenario.
-- None stands for a scenario that is not run, because a process died in it before.
-"""
 
 
 class Bred(Plan):
-    """The scenarios of an algorithm that learns, one generation after the other.
+    """The scenarios of an algorithm that learns, generation by generation."""
 
-    Other processes make the runs of a generation in advance.
-    """
+    # Other processes make the runs of a generation in advance.
 
     def __init__(self, bench: Bench, algorithm: Algorithm[Any], **limits: Any) -> None:
         self.bench = bench
@@ -72,10 +69,10 @@ class Bred(Plan):
         self._results: Iterator[Result | LostRun] = iter(())  # of the rest of the generation
 
     def next(self, state: State) -> Done:
-        """Return what became of the next scenario.
+        """Return the result of the next scenario.
 
         Raises:
-            OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
+            OutOfTime: if the time of the search runs out first. The scenario is then not counted.
             RequestError: as for :meth:`.Bench.run`.
         """
         __tracebackhide__ = True
@@ -97,13 +94,14 @@ class Bred(Plan):
 
 
 def chunk_size(run_seconds: float, left: int, workers: int) -> int:
-    """Return the number of runs of a chunk: few if runs are long, or if few are left for each process."""
+    """Return the number of runs of a chunk."""
+    # Few if runs are long, or if few are left for each process.
     return max(1, min(round(CHUNK_SECONDS / run_seconds), left // (2 * workers)))
 
 
 @dataclass(slots=True)
 class _Driven:
-    """A chunk that another process drives: what it has said that is not counted, and the next number it will say."""
+    # A chunk that another process simulates: its messages that are not yet counted, and the next number.
 
     said: deque[Any]
     heard: int
@@ -111,11 +109,10 @@ class _Driven:
 
 @dataclass(slots=True, kw_only=True)
 class Numbers:
-    """The scenarios of a random search in the order of their numbers, while other processes are ahead of it.
+    """The scenarios of a random search, with other processes ahead of it."""
 
-    Other processes draw and drive chunks of numbers, and say what they count and which runs the session must see. If
-    only the session may judge, it draws the scenarios, and others only make the runs.
-    """
+    # Other processes draw and simulate chunks of numbers, and report their counts and the runs that the session must
+    # see. If only the session may evaluate, it draws the scenarios, and others only make the runs.
 
     algorithm: RandomSearch
     seed: int
@@ -123,7 +120,7 @@ class Numbers:
     bench: Bench
     number: int = 0  # of the next scenario to be counted
     _given: int = 0  # the first number that no other process has
-    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))  # that no process drives by itself
+    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))  # that no process drives on its own
     _driven: dict[Chunk, _Driven] = field(default_factory=dict)  # in the order of their numbers
     _early: deque[Early] = field(default_factory=deque)  # what failed in later chunks, as it is heard
     _alone: int = 0  # the end of the chunk in which a process died: its scenarios are run one by one
@@ -137,22 +134,21 @@ class Numbers:
 
     @property
     def started(self) -> CampaignStarted:
-        """The first event."""
         return CampaignStarted(algorithm=self.algorithm.name, generations=None, seed=self.seed)
 
     @property
     def generation(self) -> int:
-        """The number of the next scenario, since each is a generation of its own."""
+        """The number of the next scenario."""
+        # Each scenario is a generation.
         return self.number
 
     @property
     def is_over(self) -> bool:
-        """Always False, since there is another scenario after each."""
         return False
 
     @property
     def has_all_runs(self) -> bool:
-        """True if as many scenarios were run as were asked for."""
+        """True if all requested scenarios were run."""
         return self.number >= self._end
 
     @property
@@ -160,14 +156,13 @@ class Numbers:
         return sys.maxsize if self.runs is None else self.runs
 
     def scenario(self) -> Scenario:
-        """Return the next scenario."""
         return self.algorithm.drawn(self.seed, self.number)
 
     def next(self, state: State) -> Done:
-        """Return what became of the next scenario, or of the next ones.
+        """Return the results of the next scenario, or of several.
 
         Raises:
-            OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
+            OutOfTime: if the time of the search runs out first. The scenario is then not counted.
             RequestError: as for :meth:`.Bench.run`.
         """
         __tracebackhide__ = True
@@ -183,7 +178,7 @@ class Numbers:
             return None
         result = next(self._results, None)
         if result is None:
-            # Where processes drive by themselves, this run alone, whose time is measured, or the rest of a chunk.
+            # Where processes drive on their own, this run alone, whose time is measured, or the rest of a chunk.
             end = self._end if self.bench.driver is None else max(self._alone, self.number + 1)
             drawn = map(partial(self.algorithm.drawn, self.seed), range(self.number, end))
             self._results = self.bench.results(drawn, state, state.fatal.__contains__)
@@ -193,13 +188,11 @@ class Numbers:
         return result
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
-        """Take the evaluation of the next scenario; return what happens."""
         event = Evaluated(generation=self.number, local_generation=0, index=0, evaluation=evaluation, reused=reused)
         self.count(1)
         return (event,)
 
     def count(self, runs: int) -> None:
-        """Count scenarios that were run."""
         self.number += runs
         self._given = max(self._given, self.number)
         if self._suspect is not None and self.number >= self._alone and isinstance(self.bench.runner, Apart):
@@ -207,14 +200,13 @@ class Numbers:
             self._suspect = None
 
     def finished(self, reason: EndReason, seconds: float) -> Iterator[Event]:
-        """Yield the last event."""
         self._results = iter(())
         yield CampaignFinished(
             reason=reason, generations=0, evaluated=self.number, simulated=self.number, best=None, seconds=seconds
         )
 
     def _give(self, state: State) -> None:
-        """Let other processes draw and drive the next numbers by themselves, if that is worth it."""
+        # Other processes draw and simulate the next numbers if that is worth it.
         runner, workers = self.bench.runner, self.bench.harness.request.settings.workers
         if self.bench.driver is None or not isinstance(runner, Apart) or not runner.run_seconds:
             return
@@ -231,10 +223,7 @@ class Numbers:
             self._given, left = chunk.end, left - size
 
     def _message(self) -> Result | Counts | None:
-        """Return the next message of the process that drives the next number; None if the session must run it.
-
-        Return None as well as soon as something has failed in a later chunk.
-        """
+        # None if the session must run the next number, and as soon as something has failed in a later chunk.
         runner, chunk = self.bench.runner, next(iter(self._driven), None)
         if not isinstance(runner, Apart):
             return None

@@ -1,8 +1,4 @@
-"""The loop of a search: draw, drive, judge, learn.
-
-What is around it, such as the replays of saved scenarios and the simplification of findings, is in
-:mod:`pytest_pafot.campaign.search_session`.
-"""
+"""The loop of a search: sample, simulate, evaluate, learn."""
 
 from __future__ import annotations
 
@@ -30,28 +26,27 @@ from pytest_pafot.searching.evaluation import (
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
+# The time to find and confirm a failure, as a number of runs. The scenario is run, run again, and run in highway-
+# env's own environment, which takes about as long as two runs.
 RUNS_TO_CONFIRM = 4
-"""The time to find and confirm a failure, as a number of runs.
 
-The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
-"""
+RUNS_FOR_MOMENT = 40  # about how many runs it takes to find the moment of a finding
 
-RUNS_FOR_MOMENT = 40
-"""About how many runs it takes to find the moment of a finding."""
-
+# The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
+# is over by then [s]. So a search of a fast policy tests something even with a very short limit.
 LEAST = 2.0
-"""The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
-is over by then [s]. So a search of a fast policy tests something even with a very short limit."""
 
 
 @dataclass(slots=True)
 class Watch:
-    """The limits of a search, with reports on how far it is. This one asks a function, and reports nothing."""
+    """The limits of a search, and reports on its progress."""
+
+    # This class asks a function, and reports nothing.
 
     stop: Callable[[], bool] = lambda: False
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
-        """Return the limit that is reached between two scenarios; None if there is none."""
+        """Return the limit that is reached, or None."""
         return "stopped" if self.stop() else "runs" if scenarios.has_all_runs else None
 
     def seconds_left(self) -> float:
@@ -59,53 +54,42 @@ class Watch:
         return math.inf
 
     def after_event(self) -> Iterator[SearchEvent]:
-        """Yield a report of the progress if one is due after an event of the plan."""
+        """Yield a report of the progress if one is due."""
         yield from ()
 
     def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
-        """Yield a report of the progress if one is due before a finding is run again."""
+        """Yield a report of the progress before a finding is run again."""
         yield from ()
 
 
 @dataclass(slots=True, kw_only=True)
 class TimedWatch(Watch):
-    """The watch of a search that has a limit of time or of findings, and a listener that wants to see its progress.
+    """A watch for a search that has a limit or reports its progress."""
 
-    Attributes:
-        node_id: the node id of the search in reports.
-        limit: the time at which the search has to end, with shrinking, or infinity [s].
-        most: the number of findings after which it ends, or None.
-        progress_seconds: the interval between reports of progress [s].
-        began: the time at which the loop began [s].
-        earliest_end: the earliest time at which it ends for lack of time [s].
-        last: the time of the last event of the plan [s].
-    """
-
-    node_id: str
+    node_id: str  # node id of the search in reports
     state: State
     bench: Bench
     store: Store
-    limit: float
-    most: int | None
-    progress_seconds: float
-    began: float = 0.0
-    earliest_end: float = math.inf
-    last: float = 0.0
+    limit: float  # time at which the search has to end, with shrinking, or infinity [s]
+    most: int | None  # number of findings after which it ends, or None
+    progress_seconds: float  # interval between reports of progress [s]
+    began: float = 0.0  # time at which the loop started [s]
+    earliest_end: float = math.inf  # earliest time at which it ends for lack of time [s]
+    last: float = 0.0  # time of the last event of the plan [s]
     _runs_before: int = 0
     _reported_at: float = field(init=False)
-    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    # The time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries.
     _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._reported_at = self.state.clock()
 
     def begin(self, earliest_end: float) -> None:
-        """Note that the loop begins now, and the earliest time at which it may end [s]."""
+        """Note the start of the loop, and the earliest time at which it may end [s]."""
         self.began = self.last = self.state.clock()
         self.earliest_end, self._runs_before = earliest_end, self.state.runs
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
-        """Return the limit that is reached between two scenarios; None if there is none."""
         if self.most is not None and self.store.count >= self.most:
             return "stopped"
         if scenarios.has_all_runs:
@@ -113,17 +97,14 @@ class TimedWatch(Watch):
         return "time" if self.state.clock() >= self._ends() else None
 
     def seconds_left(self) -> float:
-        """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
+        # The first run gets its time in any case.
         ends = self._ends() if self.store.firm else self.limit
         ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
         return ends - self.state.clock()
 
     def _ends(self) -> float:
-        """Return when the loop has to end, given its findings so far [s].
-
-        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
-        told from the runs so far.
-        """
+        # The time that is left must be enough to simplify the findings so far, or without any, to confirm one in the
+        # last run. It is estimated from the runs so far.
         harness, state = self.bench.harness, self.state
         settings, firm = harness.request.settings, self.store.firm
         if self.limit == math.inf:
@@ -135,22 +116,18 @@ class TimedWatch(Watch):
         return max(self.earliest_end, self.limit - seconds)
 
     def after_event(self) -> Iterator[SearchEvent]:
-        """Yield a report of the progress if one is due after an event of the plan."""
         self.last = self.state.clock()
         if self._since is None and self.state.runs > self._runs_before:
             self._since = self.last - self.bench.confirm_seconds, self.state.runs
         return self.progress()
 
     def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
-        """Yield a report of the progress if one is due before a finding is run again."""
         return self.progress(f"found {find_id}, running it again")
 
     @property
     def _run_seconds(self) -> float:
-        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
-
-        Confirming a finding is left out: at first most failures are new, and later hardly any.
-        """
+        # The mean time of a run in the process that makes it [s]; 0 if it is not yet known. Confirming a finding is not
+        # included: at first most failures are new, and later almost none.
         runner = self.bench.runner
         if runner.in_use:
             return runner.run_seconds
@@ -162,7 +139,7 @@ class TimedWatch(Watch):
         return (self.state.clock() - self.bench.confirm_seconds - began) / made if made else 0.0
 
     def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
-        """Yield a report of the progress if one is due, in a phase of the work on a finding."""
+        """Yield a report of the progress if one is due."""
         state, runner = self.state, self.bench.runner
         now = state.clock()
         if now - self._reported_at < self.progress_seconds:
@@ -192,21 +169,21 @@ class TimedWatch(Watch):
 def search(
     scenarios: Bred | Numbers, state: State, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, None]:
-    """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
+    """Sample and evaluate scenarios, and save each new failure.
 
     Raises:
-        SetupFaultError: if all runs at the beginning end in the same exception.
+        SetupFaultError: if all runs at the start end in the same exception.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
     began, reason = state.clock(), None
-    yield from _told([scenarios.started], state, bench, watch)
+    yield from _record([scenarios.started], state, bench, watch)
     while not scenarios.is_over:
         # Limits count after the first scenario, so that a search tests something.
         reason = watch.reached(scenarios) if state.runs else None
         if reason is not None:
             break
         state.generation = scenarios.generation
-        # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
+        # Drive the next scenario and evaluate it. Other processes may have done so, for several scenarios together.
         try:
             with runs_end_in(watch.seconds_left()):
                 done = scenarios.next(state)
@@ -242,20 +219,19 @@ def search(
             case _:
                 happened = done
         yield from _released(state, store)
-        yield from _told(happened, state, bench, watch)
+        yield from _record(happened, state, bench, watch)
         if isinstance(scenarios, Numbers) and scenarios.number == FIRST:
-            check_set_up(state, bench, " at the beginning")
+            check_set_up(state, bench, " at the start")
     # No failure may be counted that neither a finding nor a saved scenario shows, or the search would pass with it.
     failures = state.counts.failures
     if failures.keys() - state.known or sum(each.runs for each in failures.values()) != state.counts.kinds["failed"]:
-        raise RuntimeError(f"a failure has no finding: {state.counts!r:.300}; please report this fault of pytest-pafot")
+        raise RuntimeError(f"a failure has no finding: {state.counts!r:.300}. Please report this bug in pytest-pafot")
     if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
         check_set_up(state, bench, "")
-    yield from _told(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
+    yield from _record(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
 
 
-def _told(happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
-    """Yield events of the algorithm, and keep what matters of them for the search."""
+def _record(happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
     for event in happened:
         yield event
         match event:
@@ -284,14 +260,14 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
     verdict = bench.finish(run)
     if cause_of(run, verdict) in counts.causes:
         judged = counts.causes.total()
-        judged_only = " that were judged" if judged < counts.runs else ""
+        judged_only = " with a verdict" if judged < counts.runs else ""
         raise SetupFaultError(run, verdict, f"all {judged} runs{where}{judged_only}")
 
 
 def _confirmed(
     result: Result, failed: Failed, state: State, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
-    """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id."""
+    # The new failure is saved first. Then its scenario is run again, and it is reported or held back.
     sighting = store.add(result, state.generation)
     if isinstance(sighting, str):
         return sighting
@@ -303,6 +279,6 @@ def _confirmed(
 
 
 def _released(state: State, store: Store) -> Iterator[SearchEvent]:
-    """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
+    # As soon as two runs differ, the findings that were held back are no fault of the set-up.
     if store.is_holding and not state.is_alike:
         yield from store.release()

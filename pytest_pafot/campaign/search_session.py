@@ -1,7 +1,5 @@
-"""One session of a search, from the replays of saved scenarios to new findings and the summary.
-
-Read :meth:`SearchSession.run` from the top. The loop over scenarios is :func:`pytest_pafot.campaign.search.search`.
-"""
+"""One session of a search, from replays to the summary."""
+# Read SearchSession.run from the top. The loop over scenarios is campaign.search.search.
 
 from __future__ import annotations
 
@@ -56,19 +54,19 @@ from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 
+# The largest part of a search's time limit that is reserved to shrink findings and to find their moments.
 FOR_SIMPLIFYING = 1 / 3
-"""The largest share of a search's time limit that is reserved to shrink findings and to find their moments."""
 
-AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
+AFTER_A_DEATH = f"ran in separate processes, as with {flag('isolate')}, because a process died in this search earlier"
 
+# The reasons for an end that leave enough runs to warn of their health.
 WITH_WARNINGS = Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
-"""The reasons for an end that leave enough runs to warn of their health."""
+# A run that the time limit cuts is reported if it took more than this many times as long as the mean run before it.
 SLOW_RUNS = 10
-"""A run that the time limit cuts is reported if it took more than this many times as long as the mean run before it."""
 
 
 def search_seed(base_seed: int, node_id: str) -> int:
-    """Return the seed of a search, which depends only on the base seed and on the node id of the test."""
+    """Return the seed for a base seed and the node id of a test."""
     return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
 
 
@@ -86,25 +84,28 @@ class SearchResult:
 
 
 class ListenerError(RuntimeError):
-    """The error of a consumer of events that raised StopIteration, which cannot be raised in a search."""
+    """A StopIteration of a consumer of events."""
+
+    # It cannot be raised in a search.
 
     def __init__(self, error: StopIteration) -> None:
         super().__init__(
-            f"expected a listener that returns for each event of a search, received {error!r} from it, as from next() "
-            "without a default; catch it there"
+            f"the listener for the events of a search raised {error!r}, as next() does without a default, but it must "
+            "return. Catch the exception there."
         )
         self.__cause__ = error
 
 
 class Events:
-    """The events of a search, for a consumer that may fail: ``with events:`` around its loop, until they are over.
-
-    What is raised in the context is raised in the search, which ends by it and still reports what it has. The loop is
-    in the context, because an interrupt may also come between two events.
+    """The events of a search, for a consumer that may fail.
 
     Attributes:
-        result: the result of the search, after its last event.
+        result: the result of the search, after the last event.
     """
+
+    # Use it as `with events:` around the loop over them. What is raised in the context is raised in the search, which
+    # ends with it and still reports what it has. The loop is in the context, because an interrupt may also come between
+    # two events.
 
     result: SearchResult
 
@@ -114,7 +115,7 @@ class Events:
 
     @property
     def is_over(self) -> bool:
-        """True if the search has ended, by itself or by an error."""
+        """True if the search has ended, even by an error."""
         return getgeneratorstate(self._happens) == GEN_CLOSED
 
     def __iter__(self) -> Self:
@@ -144,7 +145,7 @@ class Events:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
-    """The parts of a search that is ready to run."""
+    """A search that is ready to run."""
 
     state: State
     bench: Bench
@@ -159,10 +160,8 @@ class Prepared:
         seed: int,
         stop: Callable[[], bool],
     ) -> Generator[SearchEvent, None, None]:
-        """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios.
-
-        Its failures are only counted.
-        """
+        """Search until ``stop()`` is true between two scenarios, and only count."""
+        # There is no limit of time.
         self.store.only_counts = True
         return search(
             scenarios_of(algorithm, self.bench, generations=generations, runs=runs, seed=seed),
@@ -173,7 +172,7 @@ class Prepared:
         )
 
     def watch(self, node_id: str, limit: float, *, progress_seconds: float) -> TimedWatch:
-        """Return the watch of the search that is ready, which has to end at the time ``limit`` [s]."""
+        """Return the watch of the search, with a time ``limit`` [s]."""
         return TimedWatch(
             node_id=node_id,
             state=self.state,
@@ -193,15 +192,14 @@ def prepared(
     is_steered: bool = True,
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
 ) -> Iterator[Prepared]:
-    """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
-
-    The search has the space that its request describes, unless one is given. It is steered towards collisions for which
-    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. A function ``note`` returns what a table
-    of runs needs of a run; the evaluations in the events have it as their notes.
+    """Build the parts of a search, and stop their processes at the end.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
+    # The search has the space of its request, unless one is given. It is steered towards collisions for which the ego
+    # is responsible, unless `blame="any"` or `is_steered` is False. `note` returns what a table of runs needs of a run;
+    # the evaluations in the events have it as their notes.
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     if space is None and request.settings.is_search:
         space = build_space(request, harness.world)
@@ -212,11 +210,11 @@ def prepared(
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings
     examiner = Examiner(harness=harness, fitness=fitness, seed=seed, note=note)
-    # Forked processes judge the runs that they make. The user's own fitness runs only in this process, where its errors
-    # are reported.
+    # Forked processes evaluate the runs that they make. The user's own fitness runs only in this process, where its
+    # errors are reported.
     why_here = _why_judged_here(harness)
     driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
-    remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
+    remark = f"; this process evaluates all runs: {why_here}" if why_here else ", which also evaluate their runs"
     job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
@@ -251,7 +249,7 @@ def prepared(
 def scenarios_of(
     algorithm: Algorithm[Any] | RandomSearch, bench: Bench, *, generations: int | None, runs: int | None, seed: int
 ) -> Bred | Numbers:
-    """Return the scenarios of a search, which ends after so many generations or runs."""
+    """Return the scenarios of a search, with limits of generations or runs."""
     if isinstance(algorithm, RandomSearch):
         return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
     seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
@@ -259,7 +257,7 @@ def scenarios_of(
 
 
 def _why_judged_here(harness: Harness) -> str:
-    """Return why the processes that make runs do not judge them, too; empty if they do."""
+    # Empty if the processes that make runs evaluate them, too.
     if not is_built_in(harness.request.fitness):
         return "the fitness is your own"
     if not harness.needs_only_run:
@@ -270,7 +268,7 @@ def _why_judged_here(harness: Harness) -> str:
 
 @dataclass(slots=True, kw_only=True)
 class SearchSession:
-    """One session of the search of a test, from the replays of saved scenarios to the summary."""
+    """One session of the search of a test, from replays to the summary."""
 
     watch: TimedWatch
     replays: Replays
@@ -280,35 +278,27 @@ class SearchSession:
 
     @property
     def state(self) -> State:
-        """All that the search knows."""
         return self.watch.state
 
     @property
     def bench(self) -> Bench:
-        """The bench, which runs and judges the scenarios of the search."""
         return self.watch.bench
 
     @property
     def store(self) -> Store:
-        """The findings of the search."""
         return self.watch.store
 
     @property
     def limit(self) -> float:
-        """The limit of the search's time."""
         return self.watch.limit
 
     @property
     def harness(self) -> Harness:
-        """The harness of the search."""
         return self.bench.harness
 
     def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
-        """Yield the events among what happens.
-
-        What the consumer raises must not reach the part of the search that yields, which may take it for an error of
-        the user's world. That part is closed at once, or it would hold back interrupts from then on.
-        """
+        # What the consumer raises must not reach the part of the search that yields, which may take it for an error of
+        # the user's world. That part is closed immediately, or it would hold back interrupts from then on.
         try:
             for event in happened:
                 match event:
@@ -324,14 +314,13 @@ class SearchSession:
                 happened.close()
 
     def run(self) -> Generator[SearchEvent, None, SearchResult]:
-        """Replay saved scenarios, search, simplify the findings, and report a summary; yield what happens.
-
-        Findings and the summary are yielded even after an error, also after one of the consumer, see
-        :class:`Events`. If the iteration ends before, findings are only saved.
+        """Replay saved scenarios, search, refine the findings, and report a summary.
 
         Raises:
             RequestError: if the search cannot be run as requested.
         """
+        # Findings and the summary are yielded even after an error, also after an error of the consumer, see Events. If
+        # the iteration ends before, findings are only saved.
         __tracebackhide__ = True
         harness, state, bench, store = self.harness, self.state, self.bench, self.store
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
@@ -393,7 +382,7 @@ class SearchSession:
         )
 
     def _skip(self) -> BaseException | None:
-        """Return a skip of the test function, from another run of the first such scenario, if it skipped every run."""
+        # A test function that skipped every run skips its item, in another run of the first such scenario.
         __tracebackhide__ = True
         state, bench = self.state, self.bench
         if state.first_skipped is None or state.counts.kinds["skipped"] < state.runs:
@@ -405,28 +394,24 @@ class SearchSession:
         return verdict.exception if verdict.kind == "skipped" else None
 
     def _settle(self, reason: Ending) -> None:
-        """Take the failures before their turn as findings, or forget them if the order says so."""
+        # If the order of the scenarios requires it, they are forgotten.
         is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
         for signature, id_, counts in self.store.settle(keeps=is_cut):
             self.state.finds[signature] = id_
             self.state.counts += counts
 
     def _refine(self) -> Iterator[SearchEvent]:
-        """Shrink the findings, and look at the decisions that led to them."""
         __tracebackhide__ = True
         with GENERATORS.held():
             yield from self._events(refine(self.state, self.bench, self.store, until=self.limit))
 
     def _retried(self, left: Sequence[Leftover]) -> Generator[SearchEvent, None, list[Leftover]]:
-        """Run the scenarios again in which processes of earlier sessions died, each in the world of the dead process.
-
-        Return the crash records to discard at the end of the search. If this session dies, the next one reads them.
-
-        A process may also have been killed from outside: a job is cancelled, or the system is short of memory. Then its
-        scenario says nothing about the ADS. It is a finding if a second process dies in it, or if none can be started.
-        It is one as well if two processes had died in it, however many sessions were killed in a row: the cause is
-        probably something that builds up from run to run, such as memory, which would otherwise never be reported.
-        """
+        # Each runs in the world of the dead process. The crash records that are returned are discarded at the end of
+        # the search. If this session dies, the next one reads them. A process may also have been killed from outside: a
+        # job is cancelled, or the system is short of memory. Then its scenario shows nothing about the ADS. It is a
+        # finding if a second process dies in it, or if none can be started. It is also one if two processes had died in
+        # it, however many sessions were killed in a row: the cause is probably something that accumulates from run to
+        # run, such as memory, which would otherwise never be reported.
         harness, pending = self.harness, list[Leftover]()
         for leftover in left:
             same = [each for each in left if each.scenario == leftover.scenario]
@@ -439,14 +424,14 @@ class SearchSession:
             who = f"a process (pid {leftover.pid}) died while"
             if leftover.reference:  # it is the cause, and nothing is run again
                 self.process_notes.append(
-                    f"{who} the reference {leftover.reference} drove in {scenario}, which says nothing about the ADS: "
-                    f"correct the reference, or search with {flag('isolate')}, so that it can die without harm"
+                    f"{who} the reference {leftover.reference} drove in {scenario}, which shows nothing about the "
+                    f"ADS. Correct the reference, or use {flag('isolate')} to run it in another process"
                 )
                 continue
             if world is None:
                 self.process_notes.append(
                     f"{who} it ran {scenario!r:.300} in a world that cannot be made here now, "
-                    f"{dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
+                    f"{dict(leftover.world or {})!r:.200}. It cannot be repeated, so it is no finding"
                 )
                 continue
             death, trace = None, None
@@ -468,13 +453,13 @@ class SearchSession:
                 yield from self._events(self.store.publish(sighting))
                 continue
             self.process_notes.append(
-                f"{who} it ran {scenario}, which ran to its end when it was tried again: the process was killed from "
+                f"{who} it ran {scenario}, which completed when it was repeated. The process was killed from "
                 "outside, or there was too little memory"
             )
         return pending
 
     def _world_of(self, leftover: Leftover) -> BaseWorld | None:
-        """Return the world in which a process died; None if it cannot be made."""
+        # None if the world cannot be made
         if leftover.world in (None, self.harness.job().world_data):
             return self.harness.world
         try:
@@ -483,11 +468,7 @@ class SearchSession:
             return None
 
     def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
-        """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
-
-        Raises:
-            RequestError: if the algorithm does not support the settings, or the fitness cannot be used.
-        """
+        # `began` is when the search started [s].
         __tracebackhide__ = True
         state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
         if space is None:
@@ -526,8 +507,8 @@ class SearchSession:
         is_cut = state.finished is not None and state.finished.reason == "time"
         if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
             self.driver_notes.append(
-                f"{Ending.MAX_TIME} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
-                "hangs, a longer limit or a shorter hang_limit of the world shows it"
+                f"{Ending.MAX_TIME} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it. To see "
+                "whether a decision hangs, use a longer limit or a shorter hang_limit of the world"
             )
         return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
 
@@ -545,7 +526,7 @@ class SearchSession:
     def _summary(self, reason: Ending) -> Search:
         settings, state, counts = self.harness.request.settings, self.state, self.state.counts
         health = counts.health
-        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
+        cut = [f"stopped by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
         notes = (
             counts.doubt,
             state.known_alone,
@@ -555,7 +536,8 @@ class SearchSession:
             "" if health.hides_most or reason not in WITH_WARNINGS else health.early_ends,
             self.harness.policy.loading_hint if state.runs else "",
         )
-        # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
+        # An error shows nothing about the ego, and a rate of random scenarios that end at the first failure is too
+        # high.
         is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
         fails = counts.fails if is_told else Counter[str]()
         others = fails["check"] + fails["otherwise"]
@@ -597,7 +579,6 @@ class SearchSession:
         )
 
     def _worse_notes(self) -> Iterator[str]:
-        """Yield notes on the findings that are new because they are worse than what was accepted."""
         for signature, id_ in self.state.finds.items():
             if signature.worse_than is not None:
                 most, known = self.bench.examiner.accepted[replace(signature, worse_than=None)]
@@ -605,7 +586,7 @@ class SearchSession:
 
     @property
     def _without_effect(self) -> str:
-        """A note on the options of config= that have no effect, and on what has it in their place; or empty."""
+        # For example on what replaces the options.
         lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
         if not self.state.runs:  # the environment may be one that cannot be made
             return ""
@@ -617,13 +598,12 @@ class SearchSession:
 
     @property
     def _left_out(self) -> str:
-        """A note on methods of the user's environment that have no effect in runs; or empty."""
         is_driven = bool(self.state.runs) and not self.harness.policy.drives_itself
         return left_out_text(self.harness.world) if is_driven else ""
 
     @property
     def _unused(self) -> str:
-        """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
+        # Without an NPC on other paths, the search shows nothing about traffic there.
         world, unused = self.harness.world, self.harness.world.unused_roads
         crosses = self.state.space is not None and self.state.space.zones
         if not unused or not self.state.runs or crosses:
@@ -631,11 +611,10 @@ class SearchSession:
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
         where = getattr(world, "env_id", type(world).__name__)
-        which = f"at {where} all NPCs drive along the ego's way: none {none}"
-        return f"{which}, so the search says nothing about such traffic"
+        which = f"at {where} all NPCs drive along the ego's path: none {none}"
+        return f"{which}, so the search shows nothing about such traffic"
 
     def _left_undone(self, reason: Ending) -> Iterator[str]:
-        """Yield notes on what the search left undone, and how to continue."""
         request, store = self.harness.request, self.store
         settings = request.settings
         is_broken_off = reason.is_broken_off
@@ -650,17 +629,16 @@ class SearchSession:
             else:
                 yield f"{Ending.MAX_TIME} ended before {what} simplified: {again} and more time"
         if self.bench.is_at_limit:
-            yield f"simplifying stopped at its limit; {flag('shrink_rollouts')}=N lets it go on"
+            more = f"delete the file, and search with {flag('shrink_rollouts')}=N"
+            yield f"simplifying stopped at its limit; to simplify more, {more}"
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
-    """Return a harness that runs scenarios in other processes, if an earlier session died in a run of this test.
-
-    This is done only if processes are forked, because otherwise some factories cannot be passed to another process.
-    """
+    """Return a harness with separate processes after an earlier death."""
+    # This is done only if processes are forked, because otherwise some factories cannot be passed to another process.
     settings = harness.request.settings
     if not forks() or settings.isolate or not settings.is_search:
         return harness

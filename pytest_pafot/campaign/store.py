@@ -29,37 +29,36 @@ from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.process import REPLACED, postponed
 from pytest_pafot.world import codec
 
+# The remark on a finding that the time limit left no time to run again.
 UNCONFIRMED = "not confirmed: out of time"
-"""The remark on a finding that the time limit left no time to run again."""
 
+# The expected result in the file of a scenario in which a process died for an unknown reason.
 UNSEEN_CRASH = Expect(
     failure=PROCESS_CRASH,
     outcome=Outcome.ADS_ERROR,  # The ADS is the only code that can kill a process.
     time=0.0,
     message="the process ended while it ran this scenario",
 )
-"""The expected result in the file of a scenario in which a process died for an unknown reason."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Store:
-    """The findings of one search. It saves each at once, and says what is to be reported.
+    """The findings of one search, each saved immediately."""
 
-    Findings are held back until it is clear that they are no fault of the set-up.
-    """
+    # Findings are held back until it is clear that they are no fault of the set-up.
 
     harness: Harness
     seed: int
-    # files that existed before the search; their replays do not show the findings that are saved here
+    # Files that existed before the search; their replays do not show the findings that are saved here.
     replayed: frozenset[Path] = frozenset()
     findings: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id
     only_counts: bool = False  # True if new failures are only counted, and no finding is made of them
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures before their turn with the numbers of their runs, and their files, if any
+    # Failures before their turn with the numbers of their runs, and their files, if any.
     early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
-    is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
+    is_holding: bool = True  # False once findings are reported immediately, because they are no fault of the set-up
 
     @property
     def count(self) -> int:
@@ -72,10 +71,8 @@ class Store:
         return sum(each.is_firm for each in self.findings.values())
 
     def add(self, result: Result, generation: int) -> Seen | str:
-        """Save a new finding, and hold it back; return its id alone if failures are only counted.
-
-        ``generation`` is counted from 0.
-        """
+        """Save a new finding without reporting it yet."""
+        # Nothing is saved if failures are only counted. `generation` is counted from 0.
         failed = result.failed
         assert failed is not None  # noqa: S101  (the failure is new)
         finding = failed.found_in(generation)
@@ -87,7 +84,7 @@ class Store:
             return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
 
     def confirmed(self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None) -> Seen:
-        """Return a finding with what :meth:`.Bench.confirm` says of it."""
+        """Return a finding with the results of :meth:`.Bench.confirm`."""
         if differs:
             sighting = self.call_flaky(sighting, differs)
         elif differs is None:
@@ -99,7 +96,8 @@ class Store:
         return sighting
 
     def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
-        """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
+        """Save a failure that is not yet known and counted."""
+        # It must not be lost if the session is killed.
         failed, saved = result.failed, None
         if failed is None or failed.signature in known or failed.signature in self.early:
             return
@@ -112,16 +110,15 @@ class Store:
             self.early[failed.signature] = saved, result, number
 
     def _forget_early(self, finding: Finding, signature: Signature) -> None:
-        """Remove what was saved before its turn if a failure of its kind has come before it."""
+        # An early file is removed once a failure of its kind has come before it.
         path, *_ = self.early.pop(signature, (None,))
         if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
             _remove_early(path)
 
     def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
-        """End the search with failures that are saved before their turn: take them as findings, or remove their files.
-
-        Yield what is taken: its signature, its id, and the counts of its run.
-        """
+        """End the search with failures that were saved before their turn."""
+        # They become findings, or their files are removed. Of each finding, the signature, the id, and the counts of
+        # its run are yielded.
         for signature, (path, result, number) in [*self.early.items()]:
             if keeps:
                 sighting = self.add(result, number)
@@ -129,23 +126,21 @@ class Store:
                 if not isinstance(sighting, str):
                     self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
                 counts = Counts.of(result, number)
-                counts.fails.clear()  # the passing runs beside it are not counted, so the share would be too high
+                counts.fails.clear()  # the passing runs next to it are not counted, so the proportion would be too high
                 yield signature, id_, counts
             elif path is not None:
                 _remove_early(path)
         self.early.clear()
 
     def release(self) -> Iterator[Seen]:
-        """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
+        """Yield the findings that were held back, and hold back no more."""
         self.is_holding = False
         for find_id in tuple(self.held):
             yield from self.publish(self.findings[find_id])
 
     def withdraw(self) -> Iterator[Seen]:
-        """Remove the files of findings that were held back, since they are a fault of the set-up.
-
-        Yield the findings whose files cannot be removed.
-        """
+        """Remove the files of findings that were held back."""
+        # They are a fault of the set-up. Findings with files that cannot be removed are yielded.
         deque(self.settle(keeps=False), maxlen=0)
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
@@ -162,7 +157,7 @@ class Store:
             self._remove_folders()
 
     def dismiss(self, sighting: Seen, why: str) -> Iterator[Seen]:
-        """Remove the file of a finding that does not count, and yield what is to be reported."""
+        """Remove the file of a finding that does not count, and report it."""
         no_worse = replace(sighting.observed, new="no worse")
         sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
         if sighting.path:
@@ -182,7 +177,8 @@ class Store:
             folder.rmdir()
 
     def publish(self, sighting: Seen) -> Iterator[Seen]:
-        """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
+        """Yield a new finding, or an update of one."""
+        # It is reported as soon as the next event is requested.
         with postponed():
             self.findings[sighting.id] = sighting
             if self.first_exception is None or sighting.id == next(iter(self.findings)):
@@ -192,7 +188,8 @@ class Store:
                 self.held.remove(sighting.id)
 
     def call_flaky(self, sighting: Seen, difference: str) -> Seen:
-        """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
+        """Mark a finding as flaky, here and in its file."""
+        # `difference` is what did not repeat.
         flaky = portable(difference, str(self.harness.root))
         marked = replace(sighting, finding=replace(sighting.finding, flaky=flaky), unshrunk="")
         self.findings[sighting.id] = self.rewritten(marked)
@@ -200,19 +197,17 @@ class Store:
 
     @REPLACED.shown(False)
     def rewritten(self, sighting: Seen) -> Seen:
-        """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
-
-        If the file cannot be written, its detail says why.
-        """
+        """Write a changed finding to its file."""
+        # The `xfail` in the file stays. If the file cannot be written, the detail of the finding states why.
         if not sighting.path:
             return sighting
         try:
             return replace(sighting, finding=rewrite(self.file_of(sighting), sighting.finding))
         except CorpusWriteError as error:
-            return replace(sighting, detail=f"is as it was before: {error}")
+            return replace(sighting, detail=f"could not be updated: {error}")
 
     def note_worst(self, state: State) -> Iterator[Seen]:
-        """Write into the files how fast the worst runs were that failed like their findings, and yield these."""
+        """Write the worst speeds of similar runs into files, and yield the findings."""
         for sighting in [*self.findings.values()]:
             found, worst = sighting.finding.found, speed_of(state.alike(sighting.id).severity)
             if worst is not None and worst > (found.worst_closing_speed or 0.0):
@@ -224,15 +219,13 @@ class Store:
         return self.harness.folder / f"{sighting.id}{SUFFIX}"
 
     def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Seen:
-        """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.
-
-        ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
-        """
+        """Save a scenario in which a process of an earlier session died."""
+        # `again` describes how a second process ended that ran the scenario again; None if that is unknown.
         text = f"a process (pid {leftover.pid}) died while it ran this scenario, "
         if again is None:
             text += (
-                "because of a crash of native code, something that builds up from run to run, such as memory, or a "
-                "kill from outside; if it was killed from outside, delete the file"
+                "because of a crash of native code, something that accumulates from run to run, such as memory, "
+                "or a kill from outside. If it was killed from outside, delete the file"
             )
         else:
             text += f"and the one that ran it again {again.end}: {cause(again, 'delete the file')}"
@@ -244,10 +237,10 @@ class Store:
             return self._held(self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text))))
 
     def add_lost(self, lost: LostRun, generation: int) -> Seen:
-        """Save a scenario whose process died or hung."""
-        again = "" if lost.is_hang else ", also when it was tried again"
+        """Save a scenario with a process that died or hung."""
+        again = "" if lost.is_hang else ", even when it was repeated"
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
-        text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
+        text += cause(lost, f"delete the file, and use {flag('workers', 1)}")
         finding = self._death(lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None)
         self._forget_early(finding, finding.signature)
         with postponed():
@@ -299,7 +292,7 @@ class Store:
 
 
 def _remove_early(path: Path) -> None:
-    """Remove a file that was saved before its turn, unless somebody has accepted its failure or put another there."""
+    # The file stays if somebody has accepted its failure or put another file there.
     with suppress(OSError, CorpusError):
         if load(path).xfail is None:
             path.unlink()
@@ -310,13 +303,14 @@ def _headline(lost: LostRun) -> str:
 
 
 def cause(lost: LostRun, way_out: str) -> str:
-    """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
+    """Return why a process may have died or hung."""
+    # With `way_out`, also what to do if the scenario is not the cause.
     if lost.end == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs more than its limit"
     if lost.end == WORLD_HANGS:
-        return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
+        return f"the world hangs, or is that slow (then set a longer hang_limit and {way_out})"
     if not lost.is_hang:
-        return "the likely cause is a crash of native code, an exit or a lack of memory"
+        return "the likely cause is a crash of native code, an exit, or a lack of memory"
     return (
         "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
         f"does not work in a forked process (then {way_out})"
@@ -324,10 +318,9 @@ def cause(lost: LostRun, way_out: str) -> str:
 
 
 def lose(death: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, Result]:
-    """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
-
-    Return its result. It is no failure if the reference does not pass the scenario either.
-    """
+    """Record a scenario with a lost process, and return its result."""
+    # It is never run again, not even in later sessions. It is no failure if the reference does not pass the scenario
+    # either.
     state.fatal.add(death.task)
     result = lost(death.task, death, is_common=bench.is_common(death.task))
     signature = result.evaluation.kind

@@ -1,1 +1,1 @@
-"""The commands ``search``, ``corpus`` and ``rate``, and what all commands share: how policies are named."""
+"""The commands ``search``, ``replay``, ``corpus`` and ``rate``."""

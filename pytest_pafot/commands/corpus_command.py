@@ -1,7 +1,4 @@
-"""``python -m pytest_pafot corpus``: list the saved scenarios in folders, or accept their failures for a while.
-
-No scenario is run, and only ``accept`` changes a file: it writes one line.
-"""
+"""``python -m pytest_pafot corpus``: list saved scenarios, or accept their failures."""
 
 from __future__ import annotations
 
@@ -21,41 +18,37 @@ from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.support.files import Since, added_in, way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, visible, wrapped_to
 
+# The line `xfail:` in a file, or the comment that is there without one.
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
-"""The line ``xfail:`` in a file, which accepts the file's failure, or the comment in its place."""
 
+# The exit code if a path is not a folder. Wrong arguments have the same one.
 NO_FOLDER = 2
-"""The exit code if a path is not a folder, which is also the exit code for wrong arguments."""
 
 COLUMNS = ("id", "test", "since")
-"""The columns of the table. What failed is on a line of its own."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
-    about = "print what each saved scenario is about, which test it is of, and which commit added it"
+    about = "list each saved scenario with its failure, its test, and the commit that added it"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
-    of_folders = "search this folder and all folders below (default: here)"
+    of_folders = "search this folder and all folders below it (default: the current folder)"
     listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "accept the failures of saved scenarios, so that they are expected to fail up to a day"
+    about = "accept the failures of saved scenarios, so that they are expected to fail until a given day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept this saved scenario: its file, or its id")
-    accepting.add_argument("--reason", required=True, metavar="TEXT", help="say why, such as the number of an issue")
-    of_until = "expect the failures up to this day, from today on"
+    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept this saved scenario, given as a file or an id")
+    accepting.add_argument("--reason", required=True, metavar="TEXT", help="give a reason, such as an issue number")
+    of_until = "expect the failures until the end of this day, which must not be over"
     accepting.add_argument("--until", required=True, type=_last_day, metavar="YYYY-MM-DD", help=of_until)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """List the saved scenarios in folders, or accept their failures; return the exit code.
-
-    It is 1 if a file cannot be read or written.
-    """
+    """List the saved scenarios in folders, or accept their failures, and return the exit code."""
     if arguments.what == "accept":
         return max(_accept(name, arguments.reason, arguments.until) for name in arguments.ids)
     for folder in arguments.folders:
         if not folder.is_dir():
-            sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give a folder that exists\n")
+            sys.stderr.write(f"corpus: expected a folder that exists, received {visible(str(folder))}\n")
             return NO_FOLDER
     unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
     for place, why in unlisted.items():
@@ -64,13 +57,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
     added = added_in(arguments.folders)
     sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios"]
+    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios found"]
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
 
 
 def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -> Iterator[str]:
-    """Yield the lines of a table: one for each saved scenario, and below it what failed, or why it cannot be read."""
+    # A row for each saved scenario, and below it what failed, or why the file cannot be read.
     rows, texts = [COLUMNS], [""]
     for each, since in zip(saved, sinces, strict=True):
         finding = each.finding
@@ -90,12 +83,12 @@ def _last_day(text: str) -> date:
     if (day := day_of(text)) is None:
         raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
     if day < date.today():
-        raise RequestError(f"expected today or a later day, received {text}, which is over")
+        raise RequestError(f"expected today or a later day, received {text}, which is in the past")
     return day
 
 
 def _accept(name: str, reason: str, until: date) -> int:
-    """Write the line that accepts the failure of a file, and change nothing else in it; return the exit code."""
+    # Only the line `xfail:` changes, so that comments and the order of keys in the file stay.
     try:
         path = named_file(name)
         content = content_of(path)
@@ -106,12 +99,12 @@ def _accept(name: str, reason: str, until: date) -> int:
             XFAIL_LINE.sub(lambda _: line, content, count=1) if is_there else content.rstrip() + b"\n" + line + b"\n"
         )
         if parsed(path, accepted) != finding:
-            raise ValueError(f"{path}: expected one line `xfail:`, received more; write `{line.decode()}` by hand")
+            raise ValueError(f"{path}: expected one line `xfail:`, received more. Write `{line.decode()}` by hand")
         write_whole(path, accepted)
     except OSError as error:
         fix = way_out(error, "then accept it again")
         sys.stderr.write(
-            f"corpus: {visible(name)}: expected a file that can be written, received {error.strerror or error}; {fix}\n"
+            f"corpus: {visible(name)}: expected a writable file, received {error.strerror or error}; {fix}\n"
         )
         return 1
     except (CorpusError, ValueError) as error:

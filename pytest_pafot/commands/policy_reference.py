@@ -1,4 +1,4 @@
-"""The names of policies on the command line, and the exit code for wrong arguments."""
+"""The names of policies and worlds on the command line."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from pytest_pafot.support.process import cores
 from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.text import meant
 
+# The exit code for wrong arguments, as in argparse.
 BAD_USE = 2
-"""The exit code for wrong arguments, which argparse uses as well."""
 
+# The package of example policies. It is at the top of a clone, or inside this package if that is installed.
 EXAMPLES = "example_ads"
-"""The package of example policies: at the top of a clone, or inside this package if it is installed."""
 
+# The end of the help of commands.
 ABOUT_POLICIES = (
-    "A factory makes a new policy for each run; a class with the method __call__(self, observation) is one. A policy "
-    "returns (acceleration [m/s^2], steering [rad]). Its observation has time, ego, others, lanes, lane_width and "
-    "speed_limit; the ego and each of the others have x, y, speed, heading, lane, length and width, in SI units. "
-    "Steering, y and lanes grow to the right. In an environment of --world, a policy receives and returns what that "
-    "environment defines, unless @planner follows its name."
+    "A factory makes a new policy for each run, for example a class with the method __call__(self, observation). A "
+    "policy returns (acceleration [m/s^2], steering [rad]). The observation has time, ego, others, lanes, lane_width "
+    "and speed_limit. The ego and each other vehicle have x, y, speed, heading, lane, length and width, in SI units. "
+    "Steering, y and lanes are positive to the right. With an environment as --world, a policy receives and returns "
+    "what the environment defines, unless the name of the policy ends with @planner."
 )
-"""The text on policies in the help of commands."""
 
 
 def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
-    """Return the ADS factory that the user names on the command line.
+    """Return the policy factory that the user names on the command line.
 
     Args:
-        reference: the name: a module of ``example_ads``, module:factory, or module:factory:argument.
-        option: the name of the option, for errors.
-        what: a description of the expected function, for errors.
+        reference: module of ``example_ads``, module:factory, or module:factory:argument.
+        option: name of the option, for errors.
+        what: description of the expected function, for errors.
 
     Raises:
         RequestError: if there is no such factory.
@@ -45,7 +45,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
     if ":" not in reference:
         examples = importlib.import_module(_package_of_examples())
         names = [each.name for each in pkgutil.iter_modules(examples.__path__)]
-        others = ("conftest", "defects")  # the factory of the second needs an argument
+        others = ("conftest", "defects")  # no policies; the factory of `defects` needs an argument
         policies = [name for name in names if name not in others and not name.startswith("test_")]
         if reference not in names:
             hint = meant(reference, policies)
@@ -60,10 +60,8 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
 
 
 def whole_name(reference: str) -> str:
-    """Return module:factory, with its argument if it has one, for a name that :func:`ads_factory` accepts.
-
-    An example policy is that of the clone in which the command runs, else the one that is installed.
-    """
+    """Return module:factory[:argument] for a name that :func:`ads_factory` accepts."""
+    # An example policy is the one in the clone in which the command runs, or else the installed one.
     reference = reference.removesuffix(PLANNER)
     name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
     return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name
@@ -72,16 +70,13 @@ def whole_name(reference: str) -> str:
 def add_world_arguments(
     parser: argparse.ArgumentParser, note: str, *, is_needed: bool = False, has_config: bool = True
 ) -> None:
-    """Declare ``--world`` and ``--config``, which mean the same in all commands; ``note`` is about this command.
-
-    The help of the command ends with what a policy is.
-    """
+    """Declare ``--world`` and ``--config``; ``note`` is about this command."""
     parser.epilog = ABOUT_POLICIES
     of_world = "drive in this world: the id of a highway-env environment such as highway-v0, module:id if that module "
-    of_world += "registers it, or module:factory for what returns a pafot.World or a pafot.SimulatorWorld "
+    of_world += "registers it, or module:factory for a factory of a pafot.World or a pafot.SimulatorWorld "
     of_world += f"({note})"
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
-    of_config = "set options of the environment that --world names by its id, as for gymnasium.make"
+    of_config = "set options of the environment that --world names by id, as in gymnasium.make"
     if has_config:
         parser.add_argument("--config", metavar="JSON", help=of_config)
 
@@ -89,11 +84,11 @@ def add_world_arguments(
 def chosen_world(
     reference: str | None, config: str | None = None, policies: Iterable[str] = (), *, is_planner: bool = False
 ) -> Any:
-    """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
+    """Return the world that ``--world`` and ``--config`` describe, or None.
 
     Args:
-        reference, config: the texts.
-        policies: the names of policies, whose modules are imported first: they may register the environment.
+        reference, config: values of the options.
+        policies: names of policies, which are imported first because they may register the environment.
         is_planner: whether an environment is for a planner in SI units.
 
     Raises:
@@ -107,7 +102,7 @@ def chosen_world(
 
         return named_world(reference, "--world", config=options, is_planner=is_planner)
     if options is not None:
-        raise RequestError("--config: expected an environment, received none; give --world")
+        raise RequestError("--config: expected an environment, received none. Add --world")
     return None
 
 
@@ -116,23 +111,23 @@ def _package_of_examples() -> str:
 
 
 def check_function(reference: str) -> Callable[..., Any]:
-    """Return the function that ``--check`` names; it is called with a run.
+    """Return the function that ``--check`` names.
 
     Raises:
         RequestError: if there is no such function.
     """
     if reference.count(":") != 1:
-        raise RequestError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
+        raise RequestError(f"--check: expected module:function for a function of a run, received {reference!r}")
     function = ads_factory(reference, "--check", "a function of a run")
     check_asserts(function)
     return function
 
 
 def config_of(text: str | None) -> dict[str, Any] | None:
-    """Return the environment's options from the text of ``--config``; None without a text.
+    """Return the environment's options in the JSON of ``--config``, or None.
 
     Raises:
-        RequestError: if the text is not a JSON object.
+        RequestError: if it is not a JSON object.
     """
     if text is None:
         return None
@@ -146,15 +141,14 @@ def config_of(text: str | None) -> dict[str, Any] | None:
 
 
 def _refuse(constant: str) -> None:
-    """Refuse NaN and Infinity, which Python reads and JSON does not have."""
-    raise ValueError(f"received {constant}")
+    raise ValueError(f"received {constant}")  # NaN or Infinity, which Python reads and JSON does not have
 
 
 def worker_count(given: int | None) -> int:
-    """Return the number of processes that ``--workers`` requests, by default one for each core.
+    """Return the number of processes for ``--workers``, by default one for each core.
 
     Raises:
-        RequestError: if the requested number is less than one.
+        RequestError: if the number is less than one.
     """
     if given is not None and given < 1:
         raise RequestError(f"--workers: expected a whole number, at least 1, received {given}")

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot rate``: how often policies crash in seeded episodes of an environment's own traffic."""
+"""``python -m pytest_pafot rate``: how often policies crash in ordinary traffic."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.episode import Episode, drive_episode
 
+# The largest number of seeds in a line.
 SHOWN = 10
-"""The largest number of seeds in a line of text."""
+# A process runs so many episodes at a time. A policy is rejected if it fails in all of the first ones.
 CHUNK = 10
-"""The number of episodes that a process drives at a time. A policy that fails in all of the first ones is refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
     """The crash rate of a policy, from its episodes in the order of their seeds.
 
-    Episodes that never drove or ended in an error are ``failed``, and nothing else includes them.
+    Episodes without a run, or with an error, are ``failed`` and do not count.
     """
 
     ads: str
@@ -40,12 +40,12 @@ class Rate:
 
     @property
     def failed(self) -> dict[int, str]:
-        """Why episodes were not driven to their end, by seed."""
+        """Why episodes were not completed, by seed."""
         return {each.seed: why for each in self.episodes if (why := each.error.text if each.error else each.undriven)}
 
     @property
     def driven(self) -> int:
-        """The number of episodes that were driven to their end."""
+        """The number of completed episodes."""
         return len(self.episodes) - len(self.failed)
 
     @property
@@ -56,7 +56,7 @@ class Rate:
     @property
     def lines(self) -> list[str]:
         """The rate, the seeds of the crashes, and the errors, in words."""
-        crashes = f"no episode of {len(self.episodes)} was driven to its end"
+        crashes = f"none of {plural(len(self.episodes), 'episode')} was completed"
         if self.driven:
             share = interval_text(len(self.crashed), self.driven)
             crashes = f"{len(self.crashed)} of {plural(self.driven, 'episode')} crashed, {share}"
@@ -65,8 +65,8 @@ class Rate:
             lines.append(f"  seeds of the crashes: {_shown(self.crashed)}")
         if self.failed:
             lines.append(
-                f"  {plural(len(self.failed), 'episode')} never drove or ended in an error, which the rate ignores; "
-                f"seeds {_shown([*self.failed])}; the first: {next(iter(self.failed.values()))}"
+                f"  {plural(len(self.failed), 'episode')} did not start or ended with an error, and do not count. "
+                f"Seeds: {_shown([*self.failed])}. First reason: {next(iter(self.failed.values()))}"
             )
         return lines
 
@@ -77,19 +77,17 @@ def _shown(seeds: Sequence[int]) -> str:
 
 
 def compared(first: Rate, others: Sequence[Rate]) -> list[str]:
-    """Compare a policy with each of others on the seeds on which neither failed, by McNemar's test, in words.
-
-    The p-values of several comparisons are adjusted by Holm's method.
-    """
+    """Compare a policy with others by McNemar's test, on the seeds on which neither failed."""
     counts = []
     for other in others:
         seeds = {each.seed for each in first.episodes} - first.failed.keys() - other.failed.keys()
         one, two = seeds & {*first.crashed}, seeds & {*other.crashed}
         counts.append((len(one - two), len(two - one), len(one & two), len(seeds - one - two)))
+    # Holm's method adjusts the p-values of several comparisons.
     of_all = f", Holm for {len(others)}" if len(others) > 1 else ""
     return [
-        f"on the same seeds {only} crashed only with {first.ads}, {only_other} only with {other.ads}, {both} with "
-        f"both, {neither} with neither: p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'} (McNemar, exact, "
+        f"on the same seeds, {only} crashed only with {first.ads}, {only_other} only with {other.ads}, {both} with "
+        f"both and {neither} with neither: p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'} (McNemar, exact, "
         f"two-sided{of_all})"
         for other, (only, only_other, both, neither), p in zip(
             others, counts, holm([mcnemar(*count[:2]) for count in counts]), strict=True
@@ -98,22 +96,26 @@ def compared(first: Rate, others: Sequence[Rate]) -> list[str]:
 
 
 def environment_of(given: argparse.Namespace) -> World:
-    """Return the environment that ``--world`` and ``--config`` name; raise a ``RequestError`` if they name none."""
+    """Return the environment that ``--world`` and ``--config`` describe.
+
+    Raises:
+        RequestError: if they describe none.
+    """
     world = chosen_world(given.world, given.config, (given.ads, *given.against))
     if isinstance(world, World):
         return world
     raise RequestError(
-        f"--world: expected for rate an environment, which makes ordinary traffic itself, by its id or from a "
-        f"factory of a pafot.World, received {one_line(repr(world))}, whose traffic a search arranges; `search` "
-        "and `compare` drive in it"
+        f"--world: expected an environment with ordinary traffic, by its id or from a factory of a pafot.World, "
+        f"received {one_line(repr(world))}. A search arranges the traffic in that world, so use it with `search` "
+        "or `compare`"
     )
 
 
 def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode]:
-    """Drive the episodes of a task, here or in a worker: those of a policy from a seed on, at most :data:`CHUNK`.
+    """Run the episodes of a task, which are at most :data:`CHUNK` with one policy.
 
     Raises:
-        RequestError: if these are the policy's first, and the policy fails in each of them.
+        RequestError: if they are the policy's first, and it fails in each of them.
     """
     (name, first), world = task, environment_of(given)
     factory, is_planner = ads_factory(name), name.endswith(PLANNER) or world.planner_hz is not None
@@ -124,34 +126,34 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
         place = "".join(errors[0].traceback.rpartition("  File ")[1:]).rstrip()
         raise RequestError(
             f"{name}: expected a policy that drives, received one with an error in each of the first {CHUNK} episodes, "
-            f"from seed {first} on: {errors[0].text}\n{place}\nCorrect it, its factory or the environment."
+            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect it, its factory or the environment."
         )
     return episodes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
-    of_whom += "pafot.Observation and answers with acceleration and steering"
+    of_whom = "a module of example_ads, module:factory, or module:factory:argument. Append @planner if it receives a "
+    of_whom += "pafot.Observation and returns acceleration and steering"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"drive with this policy: {of_whom}")
-    of_against = "drive with this one, too, on the same seeds; may be given several times"
+    of_against = "also drive with this policy, on the same seeds; you can repeat this option"
     parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
     add_world_arguments(parser, "one with an environment", is_needed=True)
-    of_episodes = "drive N episodes (default: %(default)s)"
+    of_episodes = "run N episodes (default: %(default)s)"
     parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
-    of_seed = "begin with the seed N (default: %(default)s)"
+    of_seed = "start with the seed N (default: %(default)s)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
     parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one for each core)")
     parser.add_argument(
         "--fail-above",
         metavar="SHARE",
-        help="exit with 1 if the 95 %% interval of the crashes of the policy (that of --ads) begins above this share "
-        "of the episodes, such as 2%% or 0.02, or if an episode ended in an error",
+        help="exit with 1 if the 95 %% confidence interval of the crash rate of --ads is entirely above this "
+        "proportion (such as 2%% or 0.02), or if an episode ended with an error",
     )
 
 
 def run(given: argparse.Namespace, command: Sequence[str]) -> int:
-    """Rate the policies. Return 1 if a policy was never driven to an end, or if ``--fail-above`` objects, else 0."""
+    """Measure the crash rates, and return 1 if a policy completed too few episodes, or exceeds ``--fail-above``."""
     for name, least in (("episodes", 1), ("seed", 0)):
         if (value := getattr(given, name)) < least:
             raise RequestError(f"--{name}: expected a whole number, at least {least}, received {value}")
@@ -159,7 +161,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
         raise RequestError(f"--against: expected a different policy than --ads, received {twice!r} again")
     limit, found, told = _limit_of(given), dict[str, list[Episode]](), time.monotonic()
-    environment_of(given)  # before anything is driven, and in each process once more
+    environment_of(given)  # errors in the options must come before the first episode
     tasks = [(name, seed) for seed in range(given.seed, given.seed + given.episodes, CHUNK) for name in names]
     for (name, _), episodes in finished(partial(drive_task, given), tasks, worker_count(given.workers)):
         found.setdefault(name, []).extend(episodes)
@@ -182,13 +184,9 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _limit_of(given: argparse.Namespace) -> float | None:
-    """Return the share that ``--fail-above`` means, such as ``2%`` or ``0.02``; None without it.
-
-    Raises:
-        RequestError: if the text is no share from 0 to less than 1, or if so few episodes cannot show a higher share.
-    """
     if given.fail_above is None:
         return None
+    # A proportion such as `2%` or `0.02`. It must be possible to exceed it with so few episodes.
     number, sign, rest = given.fail_above.strip().partition("%")
     try:
         share = float(number) / (100 if sign else 1)
@@ -196,24 +194,23 @@ def _limit_of(given: argparse.Namespace) -> float | None:
         share = math.nan
     if rest or not 0 <= share < 1:  # a rate is never above 1
         raise RequestError(
-            f"--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received {given.fail_above!r}"
+            f"--fail-above: expected at least 0 and less than 1, such as 2% or 0.02, received {given.fail_above!r}"
         )
     if interval(given.episodes, given.episodes)[0] <= share:
         raise RequestError(
-            f"--episodes: expected more, received {given.episodes}: even if all crash, so few do not show a share "
-            f"above {given.fail_above}"
+            f"--episodes: expected more, received {given.episodes}. Even if all of them crash, so few cannot show a "
+            f"crash rate above {given.fail_above}"
         )
     return share
 
 
 def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
-    """Yield an error for each policy that drove less than half of its episodes, and that of ``--fail-above``."""
     for rate in rates:
         if 2 * rate.driven < len(rate.episodes):
             (why, times), *_ = Counter(rate.failed.values()).most_common(1)
             yield (
-                f"expected that {rate.ads} drives most of {len(rate.episodes)} episodes, received {rate.driven} of "
-                f"them; in {times} of the others, {why}; correct the environment, its configuration or the policy"
+                f"expected {rate.ads} to complete most of {len(rate.episodes)} episodes, but it completed {rate.driven}"
+                f". In {times} of the others, {why}. Correct the environment, its configuration or the policy"
             )
     if limit is not None:
         errors = sum(each.error is not None for each in rates[0].episodes)
@@ -222,4 +219,4 @@ def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
             yield f"--fail-above: expected episodes without an error, received {errors} with one"
         elif low > limit:
             at_most = f"crashes in at most {100 * limit:.4g} % of the episodes"
-            yield f"--fail-above: expected {at_most}, received an interval that begins at {100 * low:.4g} %"
+            yield f"--fail-above: expected {at_most}, received an interval that starts at {100 * low:.4g} %"

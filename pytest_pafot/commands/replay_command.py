@@ -1,7 +1,6 @@
-"""``python -m pytest_pafot replay``: the scenario of one saved file for a policy, without a project around the file.
+"""``python -m pytest_pafot replay``: run the scenario of one saved file with a policy, without a project.
 
-The session is that of a search which only replays. Its test is the one of the command ``search``, and its only saved
-scenario is the file itself, wherever that is.
+The session is a search that only replays, and this file is its only saved scenario.
 """
 
 from __future__ import annotations
@@ -19,6 +18,8 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
 from pytest_pafot.support.text import ascii_text
 
+# The end of the session's conftest.py. It makes the file a saved scenario of the test, without the acceptance in the
+# file.
 CONFTEST = """
 from dataclasses import replace
 from pathlib import Path
@@ -32,19 +33,16 @@ def pytest_configure(config):
     saved = Saved(path, replace(load(path), xfail=None, xfail_until=None))
     config.stash.setdefault(COLLECTED, {})[folder] = {path.name: saved}
 """
-"""The end of the session's ``conftest.py``, by which the file is taken for one in the folder of the test.
 
-Nobody here has accepted its failure, whatever the file says."""
-
+# The ends of a run that are failures without the user's test.
 ENDS = (Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG)
-"""The ends of a run that are failures without a test of the user."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument("file", metavar="FILE", help="run this saved scenario: its file, or its id")
+    parser.add_argument("file", metavar="FILE", help="run this saved scenario, given as a file or an id")
     parser.add_argument("--ads", metavar="ADS", help="drive with this policy: module:factory[:argument]")
-    add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own")
+    add_world_arguments(parser, "needed if the world of the file is code, such as wrappers or your own world")
     add_session_arguments(parser, None, "the run fails, 4")
     parser.set_defaults(traffic=None)
     parser.usage = "%(prog)s FILE --ads ADS [option ...] [-- option of pytest ...]"
@@ -55,17 +53,17 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     saved = load(arguments.file)
     expect, test = saved.expect, ascii_text(saved.finding.test)
     if arguments.ads is None:
-        expected = "the policy that drives, such as --ads module:Class"
-        raise RequestError(f"--ads: expected {expected}, received none; the file is data, so it contains no policy")
+        expected = "a policy, such as --ads module:Class"
+        raise RequestError(f"--ads: expected {expected}, received none. The file itself contains no policy")
     is_end = expect.is_crash or (expect.check is None and expect.outcome in ENDS)
     if arguments.check is None and (expect.signature.is_property or not is_end):
-        expected = f"the function of a run that asserts what {test} does, such as --check module:function"
-        raise RequestError(f"--check: expected {expected}, received none; the file says: {ascii_text(expect.brief)}")
-    arguments.blame = "any" if expect.responsibility == "npc" else "ego"  # what a test counts that has found it
+        expected = f"a function of a run that asserts the same as {test}, such as --check module:function"
+        raise RequestError(f"--check: expected {expected}, received none. The failure was: {ascii_text(expect.brief)}")
+    arguments.blame = "any" if expect.responsibility == "npc" else "ego"  # as in a test that found it
     name, text = written_test(arguments, "--ads", f"world=pafot.load({str(saved.path)!r}).world")
     saved.check_fits(chosen_world(arguments.world, arguments.config) or saved.world)
     version = saved.finding.found.versions.get("pytest-pafot", "of an unknown version")
-    told = f"{saved.path}: {expect.brief}, found with pytest-pafot {version}; it is replayed with {arguments.ads}"
+    told = f"{saved.path}: {expect.brief}, found with pytest-pafot {version}. Replaying it with {arguments.ads}"
     sys.stdout.write(f"{ascii_text(told)}\n")
     sys.stdout.flush()
     options = ["-mpafot_saved", flag("runs", 0), flag("corpus", CORPUS), *arguments.options]

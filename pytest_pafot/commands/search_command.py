@@ -1,8 +1,7 @@
-"""``python -m pytest_pafot search``: a search without test files, in a pytest session with temporary test files.
+"""``python -m pytest_pafot search``: a search without test files.
 
-The session runs the file that ``--write-test`` writes, from a temporary folder. Findings are saved in a folder that no
-session of a project takes for its own, because no test of the project runs them. ``--write-test`` moves them to where
-its test finds them, so they become its regression tests.
+The session runs the file that ``--write-test`` writes, in a temporary folder. Findings go into a folder that no test of
+a project uses, until ``--write-test`` moves them.
 """
 
 from __future__ import annotations
@@ -41,40 +40,38 @@ from pytest_pafot.support.text import ascii_text
 
 TEST = "test_safety.py"
 PAGE = "pafot.html"
+# The options of pytest that have a short name here.
 OWN = ("runs", "seed", "report", "against")
-"""The options of pytest that have a short name here."""
+# Exit codes of pytest. A session with a policy that hangs ends itself with the second. They are copied, because
+# importing pytest would slow down the help of commands.
 TESTS_FAILED, STUCK, USAGE_ERROR = 1, 2, 4
-"""Exit codes of pytest; a session whose policy hangs ends itself with the second. They are copied, because importing
-pytest would slow down the help of commands."""
+# An interrupted session is killed if its summary takes longer [s].
 LAST_SECONDS = 30
-"""The time that an interrupted session has for its summary [s]. After that it is killed."""
+# `python -m pytest` as a process that leaves a receipt, since a policy may end it with the exit code 0. It ends
+# together with its parent, whose id is the first argument. The second one is the folder of its tests, for the receipt.
 PYTEST = """
 import os, signal, sys
 parent, folder = int(sys.argv.pop(1)), sys.argv[1]
-if sys.platform == "linux":  # elsewhere the session goes on if the command is killed
+if sys.platform == "linux":  # on other systems, the session continues if the command is killed
     import ctypes
     ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
-    if os.getppid() != parent:  # it was killed before that
+    if os.getppid() != parent:  # it was killed before that call
         sys.exit(128 + signal.SIGTERM)
 try:
     import pytest
     code = int(pytest.main())
     sys.stdout.flush()
-except KeyboardInterrupt:  # before there was a session; the command says so
+except KeyboardInterrupt:  # before the session started; the command reports it
     code = 2
-except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest when it exits
+except BrokenPipeError:  # such as `| head`; otherwise, Python fails to flush the rest when it exits
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     code = 1
-from pytest_pafot.support.process import leave_receipt  # only now: pytest rewrites the assertions of what it imports
+from pytest_pafot.support.process import leave_receipt  # after pytest, which rewrites assertions of what it imports
 leave_receipt(folder, code)
 sys.exit(code)
 """
-"""``python -m pytest``, as a process that leaves a receipt: a policy may end it with the exit code 0.
-
-It ends with the process that started it, whose id is its first argument. Its receipt goes into the folder of its tests,
-which is its second one."""
+# An empty configuration, so that the project's settings do not apply.
 NO_TESTS = "[pytest]\n"
-"""An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,46 +79,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "drive with this policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_traffic = "set how the other vehicles drive (default: hostile)"
+    of_traffic = "set the driving style of the other vehicles (default: hostile)"
     parser.add_argument("--traffic", choices=tuple(STYLES), help=of_traffic)
     of_runs = f"stop after N runs (default: {RUNS})"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
-    of_seed = "draw the scenarios of this seed (default: 0)"
+    of_seed = "draw the scenarios with this seed (default: 0)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
-    of_blame = "count these collisions as failures. any: all; ego: all but those by the fault of an NPC alone "
-    of_blame += "(default: %(default)s)"
+    of_blame = "count these collisions as failures. any: all of them; ego: all except those for which only an NPC is "
+    of_blame += "at fault (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
-    of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
+    of_against = "count only failures in scenarios that this second policy passes: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
-    of_test = f"write {TEST} here for `pytest`, with what was found for it, and do not search"
+    of_test = f"do not search, but write {TEST} and the saved findings to the current folder, for use with `pytest`"
     parser.add_argument("--write-test", action="store_true", help=of_test)
     parser.add_argument(flag("corpus"), dest="corpus", help=argparse.SUPPRESS)
-    add_session_arguments(parser, PAGE, "the search has found something or failed, 2")
+    add_session_arguments(parser, PAGE, "the search found a failure or failed itself, 2")
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
 def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, codes: str) -> None:
-    """Declare the arguments that a search and a replay have in common; ``codes`` says what their exit codes mean."""
-    of_check = "call this function of a run, which asserts what must hold (default: that there is no collision)"
+    """Declare the arguments of both ``search`` and ``replay``; ``codes`` explains the exit codes."""
+    of_check = "call this function with each run, which asserts the requirements (default: no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = f"write the findings to this web page (default: {page or 'none'})"
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=page, help=of_report
     )
-    # Messages of the session name options of pytest. All that do something in a search are options here, too.
+    # Messages of the session name options of pytest. All that affect a search are options here, too.
     for option in OPTIONS:
         if option.name not in (*OWN, "corpus", "allow_orphans"):
             given: dict[str, Any] = {"action": "append", "type": f"{option.flag}={{}}".format}
             if option.kind == "switch":
                 given = {"action": "append_const", "const": option.flag}
             parser.add_argument(option.flag, dest="options", default=[], help=argparse.SUPPRESS, **given)
-    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: "
-    of_others += f"`pytest --help` lists them. The exit code is 1 if {codes} for wrong arguments, else 0."
+    of_others = f"You can also use the options of this package for pytest, such as {flag('isolate')}, which "
+    of_others += f"`pytest --help` lists. The exit code is 1 if {codes} for wrong arguments, and 0 otherwise."
     parser.epilog = f"{parser.epilog} {of_others}"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
+    """Run the search, or write its test with ``--write-test``, and return the exit code."""
     name, test = written_test(arguments, "ADS")
     here = Path.cwd()
     kept, found = (here / root / Path(TEST).stem / safe_name(name) for root in (CORPUS, FOUND))
@@ -135,11 +132,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         against = whole_name(against)
     given = {option: getattr(arguments, option) for option in OWN}
     has_test = os.path.isfile(TEST) and Path(TEST).read_bytes() == test.encode()  # noqa: PTH113  (see is_folder)
-    corpus = here / (arguments.corpus or (CORPUS if has_test else FOUND))  # The tests are not in this folder.
+    # Absolute, because the tests are in another folder.
+    corpus = here / (arguments.corpus or (CORPUS if has_test else FOUND))
     given |= {"against": against, "corpus": corpus}
     options = [f"{flag(option)}={value}" for option, value in given.items() if value is not None]
     environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-    if corpus.is_relative_to(here):  # else the command does not find the file by its id
+    if corpus.is_relative_to(here):  # otherwise, the command `replay` does not find the file by its id
         own = {name: getattr(arguments, name) for name in ("ads", "world", "config", "check")}
         environ[OF_REPLAY] = shlex.join(word for name in own if own[name] for word in (f"--{name}", own[name]))
     code = code_of_session({TEST: test}, [*options, *arguments.options, *arguments.pytest], environ)
@@ -154,7 +152,7 @@ def code_of_session(files: Mapping[str, str], options: Sequence[str], environ: M
     """Run pytest on some files in a temporary folder, and return its exit code.
 
     Raises:
-        ChildProcessError: if the session did not come to its end.
+        ChildProcessError: if the session did not finish.
     """
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         for name, text in {**files, "pytest.ini": NO_TESTS}.items():
@@ -165,18 +163,12 @@ def code_of_session(files: Mapping[str, str], options: Sequence[str], environ: M
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) -> int:
-    """Run a session with its tests in a folder; return its exit code. An interrupt of this process ends the session.
-
-    A session has LAST_SECONDS for its summary and page, and is killed then.
-
-    Raises:
-        ChildProcessError: if the session did not come to its end.
-    """
+    # An interrupt of this process also ends the session, which has LAST_SECONDS for its summary and page.
     with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
         try:
             left = process.wait()
         except KeyboardInterrupt as interrupt:
-            if not isinstance(interrupt, Ended):  # The session has received Ctrl-C as well, and a second one ends it.
+            if not isinstance(interrupt, Ended):  # the session received Ctrl-C as well, and a second one would end it
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(LAST_SECONDS)
             raise
@@ -195,24 +187,16 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) ->
 
 
 def _write_test(text: str, found: Mapping[Path, Path]) -> int:
-    """Write the file of a test, which has to be new, and move what was found for it. Return the exit code.
-
-    Raises:
-        RequestError: if the file is there or cannot be written.
-    """
     here, elsewhere = Path.cwd(), "run the command in another folder"
     try:
         if not write_if_free(here / TEST, text.encode()):
-            raise RequestError(
-                f"--write-test: expected a folder without {TEST}, received {here}; {elsewhere}, or write the test by "
-                "hand"
-            )
+            raise RequestError(f"--write-test: expected a folder without {TEST}, received {here}. Use another folder")
         for file, kept in found.items():
             kept.parent.mkdir(parents=True, exist_ok=True)
             file.replace(kept)
     except OSError as error:
         raise RequestError(
-            f"--write-test: expected a folder in which {TEST} can be written, received {here}: "
+            f"--write-test: expected a writable folder, received {here}: "
             f"{error.strerror or error}; {way_out(error, f'or {elsewhere}')}"
         ) from None
     names = [TEST, *(str(each.relative_to(here)) for each in found.values())]
@@ -224,9 +208,9 @@ def written_test(arguments: argparse.Namespace, option: str, world: str = "") ->
     """Return the name of the test and the content of its file.
 
     Args:
-        arguments: the arguments of the command.
-        option: the name of the argument that names the policy, for errors.
-        world: the argument of the mark for the world, if ``--world`` names none.
+        arguments: arguments of the command.
+        option: name of the argument for the policy, for errors.
+        world: argument of the mark for the world, if ``--world`` names none.
     """
     ads_factory(arguments.ads, option)
     _check_module(arguments.ads, option)
@@ -247,7 +231,6 @@ def written_test(arguments: argparse.Namespace, option: str, world: str = "") ->
 
 
 def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
-    """Return the argument of the mark for the world, and the import that registers its environment, if any."""
     config, is_planner = config_of(arguments.config), arguments.ads.endswith(PLANNER)
     world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
     if world is None:
@@ -262,17 +245,16 @@ def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
 
 
 def _check_module(reference: str, option: str) -> None:
-    """Refuse the name of an object in the file of the search itself, which hides a file of that name."""
-    if reference.partition(":")[0] == Path(TEST).stem:
-        raise RequestError(f"{option}: expected a module other than {TEST}, received {reference}; rename it")
+    if reference.partition(":")[0] == Path(TEST).stem:  # the file of the search would hide that module
+        raise RequestError(f"{option}: expected a module other than {TEST}, received {reference}. Rename the module")
 
 
 def _import(reference: str, option: str) -> str:
-    """Return the import of a function. Its alias hides no fixture, and is no test or hook for pytest."""
+    # The alias must not hide a fixture, nor look like a test or a hook to pytest.
     _check_module(reference, option)
     module, name = reference.split(":")
     for part in (*module.split("."), name):
         if not part.isidentifier() or keyword.iskeyword(part):
             received = f"{part!r} in {reference}"
-            raise RequestError(f"{option}: expected names that `import` takes, received {received}; rename it")
+            raise RequestError(f"{option}: expected names that `import` accepts, received {received}. Rename it")
     return f"from {module} import {name} as holds\n"

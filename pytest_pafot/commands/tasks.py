@@ -1,4 +1,4 @@
-"""The tasks of a command, which run in this process or in several others."""
+"""The tasks of a command, in this process or in others."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ ResultT = TypeVar("ResultT")
 def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: int) -> Iterator[tuple[TaskT, ResultT]]:
     """Run tasks, and yield each with its result as soon as it is finished.
 
-    With one worker the tasks run here. Otherwise ``work`` has to be picklable, and processes are spawned on every
-    system, so that each imports the policy and no state of this process can affect a result.
-
     Raises:
-        ChildProcessError: if a process ends in a task.
+        ChildProcessError: if a process ends during a task.
         Exception: the exception of a task.
     """
+    # With one worker, the tasks run here. Otherwise, processes are spawned on every system, so that each imports the
+    # policy and no state of this process can affect a result. `work` must then be picklable.
     workers = min(workers, len(tasks))
     if workers == 1:
         yield from ((task, work(task)) for task in tasks)
@@ -39,8 +38,8 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
             if pool.failure or isinstance(answer, ProcessLostError):
                 ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(
-                    f"expected a worker to finish {task!r}, received: {ended}; correct a policy that ends its "
-                    "process, or if memory was short, use fewer --workers"
+                    f"expected a worker to finish {task!r}, received: {ended}. Did the policy end its process? If the "
+                    "memory ran out, use fewer --workers"
                 )
             if isinstance(answer, Exception):
                 raise answer
@@ -48,6 +47,5 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
 
 
 def _run(work: Callable[[Any], Any], scratch: str, task: Any, tell: object) -> Any:
-    """Run a task in a worker, whose temporary files go with the command: a worker that is killed removes none."""
-    tempfile.tempdir = scratch
+    tempfile.tempdir = scratch  # deleted with the command, since a killed worker deletes no files
     return work(task)

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot compare``: run a comparison and write its report."""
+"""The command ``compare``, which runs a comparison and writes its report."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"compare these algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class; with NAME@S its "
-        "runs last S seconds, and with NAME@paper it has the paper's scenarios; the first algorithm is compared with "
-        "each of the others (default: %(default)s)",
+        help=f"compare these algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class. The runs of "
+        "NAME@S last S seconds, and NAME@paper has the paper's scenarios. The first algorithm is compared with each "
+        "of the others (default: %(default)s)",
     )
-    of_ads = "drive with this policy: a module of example_ads, module:factory, or module:factory:argument"
+    of_ads = "test this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
-    of_out = "write the results to this folder, which must not have results yet"
+    of_out = "write the results to this folder, which must not contain results yet"
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help=of_out)
     of_runs = "run each algorithm N times (default: %(default)s)"
     parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
-    of_seconds = "end each run after S simulated seconds (default: 3600)"
+    of_seconds = "stop each run after S simulated seconds (default: 3600)"
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help=of_seconds)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="derive seeds from N (default: %(default)s)")
     parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
@@ -47,24 +47,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--blame",
         choices=BLAMES,
         default="any",
-        help="search for these collisions. any: all; ego: those that the ego is responsible for (default: %(default)s, "
-        "as in the paper)",
+        help="search for these collisions: all (any), or only those for which the ego is responsible (ego) "
+        "(default: %(default)s, as in the paper)",
     )
     of_fitness = "maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
-    of_fitness += "(default: that of each algorithm)"
+    of_fitness += "(default: the fitness of each algorithm)"
     parser.add_argument("--fitness", help=of_fitness)
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_duration = "let scenarios last S seconds (default: 60, or the environment's)"
+    of_duration = "set the duration of scenarios to S seconds (default: 60, or the duration of the environment)"
     parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
-    of_clearance = "set the clearance of the grid [m]; the paper has 0 (default: 3)"
+    of_clearance = "set the clearance of the grid to D metres; the paper uses 0 (default: 3)"
     parser.add_argument("--clearance", type=float, metavar="D", help=of_clearance)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run a comparison and write its report, which quotes ``command``. Return 1 if most of it never drove, else 0.
-
-    The rows of finished runs are also written if the command is stopped, or if another run ends in an error.
-    """
+    """Run a comparison and write its report, in which ``command`` is quoted. Return the exit code."""
     names = tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip())
     given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
     plan = Plan(**{**given, "algorithms": names})
@@ -74,29 +71,31 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
     if missing:
         raise RequestError(
-            f"expected the library {missing} for the report, received a Python without it; run `{install('compare')}`"
+            f"the report needs the library {missing}, which is not installed. Run `{install('compare')}`."
         )
     path, rows = folder / RESULTS, dict[tuple[str, int], list[Row]]()
     if path.exists():
         raise RequestError(
-            f"--out: expected a folder without the results of a comparison, received {folder}, which has a {RESULTS}; "
-            "give another folder"
+            f"--out: expected a folder without the results of a comparison, but {folder} contains {RESULTS}. "
+            "Choose another folder."
         )
     if len(plan.scenarios) > 1:
         groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
         sys.stderr.write(f"compare: warning: {DIFFERENT}\n{groups}")
     with written_into(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    # If the command is stopped or a run ends in an error, the rows of the finished runs are written, too.
     try:
         for task, found in finished(partial(run_rows, plan), plan.tasks, workers):
             rows[task] = found
             sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
     finally:
-        if rows:  # else the folder stays free for a corrected command
+        if rows:  # otherwise, the folder stays free for a corrected command
             order = sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
             every = ([row.get(name) for name in COLUMNS] for task in order for row in rows[task])
             with written_into(folder):
                 write_whole(path, csv_text(tuple(COLUMNS), every))
+    # pandas, scipy and matplotlib are imported only now, because they take seconds.
     from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
 
     measured = run_measures.Results.of(plan, path)
@@ -107,6 +106,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         write_whole(folder / "statistics.csv", csv_text(run_measures.Comparison._fields, tests))
         write_whole(folder / "report.md", markdown.report(measured, tests, command, titles))
     sys.stdout.write(f"{folder / 'report.md'}\n")
-    errors = [*run_measures.undriven(measured.frame)]
+    errors = [*run_measures.undriven_errors(measured.frame)]
     sys.stderr.write("".join(f"compare: {visible(each)}\n" for each in errors))
     return int(bool(errors))

@@ -1,4 +1,4 @@
-"""The figures of a comparison; all are readable without colours."""
+"""The figures of a comparison. All of them can be read without colours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, of
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, rows_of
 from pytest_pafot.support.files import write_whole
 
 SETTINGS: Any = {
@@ -39,7 +39,7 @@ class Style(NamedTuple):
 
     @property
     def curve(self) -> dict[str, Any]:
-        """The keyword arguments with which matplotlib draws lines with markers in this style."""
+        """The keyword arguments of matplotlib for lines in this style."""
         return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
@@ -55,14 +55,13 @@ STYLES = (
 )
 
 
-def _each(results: Results) -> Iterator[tuple[str, Style, pd.DataFrame]]:
-    """Yield the name and style of every algorithm, and the measures of its runs."""
-    for place, name in enumerate(results.plan.names):
-        yield name, STYLES[place % len(STYLES)], of(name, results.runs)
+def _algorithms(results: Results) -> Iterator[tuple[str, Style, pd.DataFrame]]:
+    for index, name in enumerate(results.plan.names):
+        yield name, STYLES[index % len(STYLES)], rows_of(name, results.runs)
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
-    """Write every figure as PNG; return their titles by file name without ending."""
+    """Write every figure as PNG. Return the titles by file name without the suffix."""
     with mpl.rc_context(SETTINGS):
         for name, (_, draw) in FIGURES.items():
             figure, buffer = Figure(figsize=(6.0, 3.6), layout="constrained"), BytesIO()
@@ -75,8 +74,8 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
 def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
     """Draw the mean over the runs as a curve, with a band for their middle half."""
     rows, times = results.frame[counts(results.frame)], np.linspace(0.0, results.horizon, POINTS)
-    for name, style, runs in _each(results):
-        of_runs = [of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]]
+    for name, style, runs in _algorithms(results):
+        of_runs = [rows_of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]]
         cumulated = np.stack([np.searchsorted(at, times, side="right") for at in of_runs]).astype(np.float64)
         hours = times / SECONDS_PER_HOUR
         axes.fill_between(
@@ -84,8 +83,8 @@ def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.Da
         )
         markers: Any = {"markevery": (POINTS // 12, POINTS // 6), "markersize": 4.5}
         axes.plot(hours, cumulated.mean(axis=0), label=name, **style.curve, **markers)
-    axes.set(xlim=(0, None), ylim=(0, None), xlabel="simulated time of a run [h]", ylabel=label)
-    axes.set_title("mean of the runs; band: their middle half", fontsize=9, loc="left")
+    axes.set(xlim=(0, None), ylim=(0, None), xlabel="simulated time per run [h]", ylabel=label)
+    axes.set_title("mean of the runs; band: middle half of the runs", fontsize=9, loc="left")
     axes.legend(loc="upper left")
 
 
@@ -95,14 +94,14 @@ def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
     return rows["is_ego_failure"] & ~known.reindex(rows.index, fill_value=False)
 
 
+# The title and the drawing function of each figure, by its file name without the suffix.
 FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None]]] = {
     "discoveries": (
         "Distinct ego-responsible failures over simulated time",
-        partial(_curves, label="distinct ego-responsible failures of a run", counts=_is_discovery),
+        partial(_curves, label="distinct ego-responsible failures per run", counts=_is_discovery),
     ),
     "collisions-over-time": (
         "Collisions over simulated time",
-        partial(_curves, label="unique collisions of a run", counts=lambda rows: rows["outcome"] == "collision"),
+        partial(_curves, label="unique collisions per run", counts=lambda rows: rows["outcome"] == "collision"),
     ),
 }
-"""The title and the drawing function of each figure, by its file name without ending."""

@@ -13,39 +13,35 @@ from pytest_pafot.comparison.run_measures import (
     Comparison,
     Results,
     first_failures,
-    of,
+    rows_of,
     survival,
 )
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import markdown_table
 from pytest_pafot.world.codec import described
 
+# The collisions that count as failures, by the blame of the comparison.
 HITS = {
     "any": "all collisions",
-    "ego": "collisions that the ego is responsible for (`--blame ego`)",
+    "ego": "collisions for which the ego is responsible (`--blame ego`)",
 }
-"""Descriptions of the collisions that count as failures, by the blame of the comparison."""
 
 HOW_TO_READ = """
 ## How to read this
 
-- `NAME@15` is the algorithm NAME with runs of 15 s, which are divided evenly among its genes. So `av-fuzzer@15` has
-  slices of 3 s, as in its release. Without `@15`, its five slices together last as long as all genes of the other
-  algorithms, as in the paper's reimplementation, whose runs last 60 s.
-- Without an `@` an algorithm has the same scenarios as in a test. `NAME@paper` has the paper's scenarios, four in each
-  of its generations.
-- `results.csv` has a row for every scenario, `runs.csv` the measures of every run, and `statistics.csv` the tests with
-  exact numbers.
-- Equal arguments and versions give equal rows with any number of workers.
+- `NAME@15` is the algorithm NAME with runs of 15 s, which are divided evenly among its genes. With `av-fuzzer@15`, a
+  slice lasts 3 s, as in the released code. Without `@15`, its five slices together last as long as all genes of the
+  other algorithms. The reimplementation of the paper does the same, with runs of 60 s.
+- Without an `@`, an algorithm has the same scenarios as in a test. `NAME@paper` has the paper's scenarios, four per
+  generation.
+- `results.csv` has a row for every scenario, `runs.csv` has the measures of every run, and `statistics.csv` has the
+  tests with exact numbers.
+- The same arguments and versions give the same rows, for any number of workers.
 """
 
 
 def report(results: Results, tests: Sequence[Comparison], command: Sequence[str], figures: Mapping[str, str]) -> str:
-    """Return the whole report as Markdown.
-
-    ``command`` is the command that made the report. ``figures`` has the title of each figure by its file name without
-    ending.
-    """
+    """Return the report. ``command`` is the command that made it, and ``figures`` has the titles by file name."""
     parts = [
         _head(results, command),
         _distinct(results),
@@ -70,9 +66,9 @@ def _head(results: Results, command: Sequence[str]) -> str:
 {shlex.join(command)}
 ```
 
-{plan.runs} runs of each algorithm, {plan.seconds:g} simulated seconds each, base seed {plan.seed}. All numbers are at
-equal simulated time: of every run, only the scenarios count that end in its first {results.horizon:.0f} s, as long as
-the shortest run is. Failures in the search are {HITS[plan.blame]}, and exceptions and hangs of the ADS.
+{plan.runs} runs of each algorithm, {plan.seconds:g} simulated seconds each, base seed {plan.seed}. All numbers are for
+the same simulated time: only scenarios count that end in the first {results.horizon:.0f} s, because the shortest run
+is that long. Failures in the search are {HITS[plan.blame]}, and exceptions and hangs of the ADS.
 {packages}.
 
 World: `{json.dumps(described(plan.made_world()))}`.
@@ -86,7 +82,7 @@ Scenarios:
 def _distinct(results: Results) -> str:
     rows, failures = [], results.frame[results.frame["is_ego_failure"]]
     for name in results.plan.names:
-        runs, own = of(name, results.runs), of(name, failures)
+        runs, own = rows_of(name, results.runs), rows_of(name, failures)
         median = survival(*first_failures(runs, results.horizon)).median
         rows.append(
             [
@@ -97,14 +93,15 @@ def _distinct(results: Results) -> str:
                 "not reached" if math.isinf(median) else f"{median:.0f} s",
             ]
         )
+    # The program that updates the figures in docs/comparisons finds columns by these headers.
     header = [
         "", "in all runs", "faults of the ADS among them", "mean of a run", "runs with any", "median time to the first",
     ]  # fmt: skip
     return f"""
-## Distinct failures for which the ego answers
+## Distinct failures for which the ego is responsible
 
-Collisions that the ego is responsible for, alone or with the NPC, and faults of the ADS itself, by signature: many
-collisions are few failures. The median time to the first failure counts runs without one as censored (Kaplan-Meier).
+These are collisions for which the ego is responsible, alone or with the NPC, and ADS errors. Failures with the same
+signature count once. For the median time to the first failure, runs without one are censored (Kaplan-Meier).
 
 {markdown_table(header, rows)}
 """
@@ -113,7 +110,7 @@ collisions are few failures. The median time to the first failure counts runs wi
 def _collisions(results: Results) -> str:
     rows = []
     for name in results.plan.names:
-        runs = of(name, results.runs)
+        runs = rows_of(name, results.runs)
         total = runs.sum(numeric_only=True)
         each = len(runs) * results.horizon / total.collisions if total.collisions else math.inf
         rows.append(
@@ -131,8 +128,8 @@ def _collisions(results: Results) -> str:
     return f"""
 ## All collisions
 
-A scenario that only repeats an earlier one of the same search is not simulated, and not *unique*. The simulated time
-per collision is all simulated time divided by all unique collisions. Responsibility is by RSS.
+A scenario that repeats an earlier one of the same search is not simulated, and not *unique*. The simulated time per
+collision is the total simulated time divided by the number of unique collisions. Responsibility is determined by RSS.
 
 {markdown_table(header, rows)}
 """
@@ -140,7 +137,7 @@ per collision is all simulated time divided by all unique collisions. Responsibi
 
 def _statistics(tests: Sequence[Comparison]) -> str:
     if not tests:
-        return "## Statistics\n\nThere is only one algorithm, so nothing is compared."
+        return "## Statistics\n\nThere is only one algorithm, so there is no comparison."
     rows = [
         [
             *(each.measure, each.first, each.second),
@@ -154,10 +151,10 @@ def _statistics(tests: Sequence[Comparison]) -> str:
     return f"""
 ## Statistics
 
-Each run is one sample. A12 is the probability that the first algorithm's value is greater, counting ties as half
-(Vargha-Delaney; 0.56, 0.64 and 0.71 are called a small, medium and large effect, and so are 0.44, 0.36 and 0.29), with
-Newcombe's interval. All tests are two-sided; the last p is adjusted for all tests of this table. Instead of medians,
-Fisher's test has counts of runs, and the log-rank test Kaplan-Meier medians.
+Each run is one sample. A12 is the probability that the value of the first algorithm is greater, where ties count half
+(Vargha-Delaney, with Newcombe's interval). 0.56, 0.64 and 0.71 are called a small, medium and large effect, and so are
+0.44, 0.36 and 0.29. All tests are two-sided. The last p is adjusted for all tests of this table. Fisher's test shows
+counts of runs instead of medians, and the log-rank test shows Kaplan-Meier medians.
 
 {markdown_table(header, rows)}
 """

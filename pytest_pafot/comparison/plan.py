@@ -1,4 +1,4 @@
-"""The plan of a comparison, and its runs: each is a search of one algorithm, whose scenarios become rows."""
+"""The plan of a comparison, and its runs, each of which is a search by one algorithm."""
 
 from __future__ import annotations
 
@@ -23,29 +23,26 @@ from pytest_pafot.world import Highway, World
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 
+# The warning if the algorithms have several kinds of scenarios.
 DIFFERENT = (
-    "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
-    "NAME@paper is an algorithm with the paper's scenarios"
+    "the algorithms have different scenarios, so the scenarios may cause differences between these groups. "
+    "Use NAME@paper for an algorithm with the paper's scenarios"
 )
-"""The warning if :attr:`Plan.scenarios` has more than one entry."""
-PAPER = "paper"
-"""The text after the ``@`` for the paper's scenarios."""
+PAPER = "paper"  # after the `@` of an algorithm with the paper's scenarios
 
+# The columns of the results: the algorithm, its run, and the columns of a search.
 COLUMNS: Mapping[str, str] = {
     "algorithm": "name of the algorithm",
-    "run": "number of the algorithm's run, from 0",
+    "run": "number of the run of the algorithm, from 0",
     **AlgorithmRun.COLUMNS,
 }
-"""The columns of the results: those of a run of an algorithm, and what is compared."""
 
 Row = Mapping[str, Any]
 
 
 def never_collides(blame: str, run: Run) -> None:
-    """Assert that there is no collision; the test function of a comparison.
-
-    Unless the blame is ``any``, a collision for which neither vehicle is responsible is no failure.
-    """
+    """Assert that there is no collision. This is the test function of a comparison."""
+    # Unless the blame is `any`, a collision for which neither vehicle is responsible is no failure.
     if blame == "any" or run.responsibility is not None:
         require(not run.collision, "not run.collision", lambda: "assert not run.collision")
 
@@ -55,7 +52,7 @@ class Entrant(NamedTuple):
 
     algorithm: AlgorithmClass
     seconds: float | None = None  # duration of its runs [s]; None for the world's duration
-    is_papers: bool = False  # whether its scenarios are the paper's; otherwise those of a test
+    is_papers: bool = False  # whether it has the paper's scenarios instead of the scenarios of a test
 
     @classmethod
     def of(cls, given: str) -> Entrant:
@@ -74,13 +71,12 @@ class Entrant(NamedTuple):
             seconds = math.nan
         if seconds is not None and not 0 < seconds < math.inf:
             raise RequestError(
-                f"--algorithms: expected seconds or {PAPER} after the @, as in av-fuzzer@15, received {given!r}"
+                f"--algorithms: expected a time [s] or {PAPER} after the @, as in av-fuzzer@15, but received {given!r}"
             )
         return cls(resolve_algorithm(reference), seconds)
 
     @property
     def name(self) -> str:
-        """The name of the entrant in files, tables and figures."""
         if self.is_papers:
             return f"{self.algorithm.name}@{PAPER}"
         return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
@@ -88,38 +84,23 @@ class Entrant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The arguments of a comparison. They determine the result of every run of every algorithm.
+    """The arguments of a comparison, which determine the result of every run of every algorithm."""
 
-    Attributes:
-        ads: the policy: the name of a module of example_ads, ``module:factory`` or ``module:factory:argument``.
-        algorithms: names, or ``module:Class``; with ``@15`` its runs last 15 s, with ``@paper`` it has the paper's
-            scenarios.
-        runs: the number of runs of each algorithm.
-        seconds: the simulated time of a run after which no scenario begins [s].
-        seed: the base seed, from which the seeds of all runs are derived.
-        blame: ``any`` counts all collisions as failures, as the paper does; for ``ego`` see
-            :func:`pytest_pafot.search`.
-        fitness: that of all algorithms: a name or ``module:function``; None for each algorithm's own.
-        world, config: as on the command line.
-        duration: the duration of a scenario [s]; None for the world's.
-        clearance: the clearance of the grid [m]; None for the world's.
-    """
-
-    ads: str
-    algorithms: tuple[str, ...]
-    runs: int = 10
-    seconds: float = 3600.0
-    seed: int = 0
-    blame: str = "any"
-    fitness: str | None = None
-    world: str | None = None
+    ads: str  # the policy: the name of a module of example_ads, `module:factory` or `module:factory:argument`
+    algorithms: tuple[str, ...]  # names or `module:Class`, see `Entrant.of`
+    runs: int = 10  # number of runs of each algorithm
+    seconds: float = 3600.0  # simulated time of a run, after which no scenario starts [s]
+    seed: int = 0  # the base seed, from which the seeds of all runs are derived
+    blame: str = "any"  # `any` counts all collisions as failures, as the paper does; for `ego` see `pafot.search`
+    fitness: str | None = None  # the fitness of all algorithms; None for the fitness of each algorithm
+    world: str | None = None  # as on the command line, like the next
     config: str | None = None
-    duration: float | None = None
-    clearance: float | None = None
+    duration: float | None = None  # duration of a scenario [s]; None for the duration of the world
+    clearance: float | None = None  # clearance of the grid [m]; None for the clearance of the world
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
-        """All pairs (algorithm, run) in the order in which they start: run by run."""
+        """All pairs (algorithm, run) in the order in which they start, run by run."""
         return tuple((name, run) for run in range(self.runs) for name in self.names)
 
     @property
@@ -128,7 +109,7 @@ class Plan:
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
     def made_world(self) -> BaseWorld:
-        """Return the world in which all algorithms drive, unless one has a duration of its own.
+        """Return the world of all algorithms that have no duration of their own.
 
         Raises:
             RequestError: for a value that no world accepts.
@@ -144,17 +125,13 @@ class Plan:
         if road:
             name, value = next(iter(road.items()))
             raise RequestError(
-                f"--{name}: expected no such option with --world {self.world}, received {value!r}; leave it out, "
-                "because that world has its own"
+                f"--{name}: expected no such option with --world {self.world}, but received {value!r}. Omit it, "
+                "because that world sets its own value."
             )
         return world  # type: ignore[no-any-return]
 
     def setting(self, name: str) -> tuple[BaseWorld, SearchSpace]:
-        """Return the world and the space of scenarios of one of :attr:`names`.
-
-        If the entrant's runs have a different duration, all genes are equally long, in whole ticks, and not longer
-        than the genes of the plan. Sampled durations of genes stay sampled.
-        """
+        """Return the world and the space of scenarios of one of the :attr:`names`."""
         entrant, own = self._entrant(name), self.made_world()
         space, seconds = own.space({}), entrant.seconds
         if not (entrant.is_papers or entrant.algorithm.is_papers):
@@ -163,10 +140,12 @@ class Plan:
             return own, space
         if not isinstance(own, Highway | World):
             raise RequestError(
-                f"--algorithms: expected no seconds after the @ in a simulator of your own, received {name}; let its "
-                "factory make a world with such runs, and compare there"
+                f"--algorithms: expected no seconds after the @ in a simulator of your own, but received {name}. Let "
+                "the factory of the world make one with such runs, and compare there."
             )
         world = replace(own, duration=seconds)
+        # All genes are equally long, in whole ticks, and not longer than the genes of the plan. Sampled durations stay
+        # sampled.
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
@@ -176,7 +155,7 @@ class Plan:
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
-        """The names of the algorithms by the description of their scenarios; each group has the same scenarios."""
+        """The names of the algorithms, by the description of their scenarios."""
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
@@ -189,7 +168,7 @@ class Plan:
         return found
 
     def run(self, name: str, number: int) -> AlgorithmRun:
-        """Return a run of one of :attr:`names`.
+        """Return a run of one of the :attr:`names`.
 
         Raises:
             ValueError: if the algorithm or the fitness cannot be used.
@@ -205,11 +184,11 @@ class Plan:
             blame=self.blame,
             fitness=self.fitness,
             seconds=self.seconds,
-            generations=math.ceil(self.seconds),  # runs of an ADS that fails at once take no simulated time
+            generations=math.ceil(self.seconds),  # runs of an ADS that fails immediately take no simulated time
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:
-        """Return the seed of one run; runs of different algorithms are independent samples."""
+        """Return the seed of one run. Runs of different algorithms are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
@@ -217,20 +196,20 @@ class Plan:
         """Check that the plan can be run.
 
         Raises:
-            RequestError: for the first option that is wrong; the message names it.
+            RequestError: for the first wrong option, with its name.
         """
         if not self.algorithms:
-            raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
+            raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, but received none")
         if self.runs < 1:
-            raise RequestError(f"--runs: expected a whole number, at least 1, received {self.runs}")
+            raise RequestError(f"--runs: expected a whole number, at least 1, but received {self.runs}")
         if not 0 < self.seconds < math.inf:
-            raise RequestError(f"--seconds: expected simulated seconds, more than 0, received {self.seconds:g}")
+            raise RequestError(f"--seconds: expected a simulated time greater than 0 s, but received {self.seconds:g}")
         if self.seed < 0:
-            raise RequestError(f"--seed: expected a whole number, at least 0, received {self.seed}")
+            raise RequestError(f"--seed: expected a whole number, at least 0, but received {self.seed}")
         try:
             repeated = sorted({name for name in self.names if self.names.count(name) > 1})
             if repeated:
-                raise RequestError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
+                raise RequestError(f"--algorithms: expected each name once, but received {', '.join(repeated)} again")
             for name in self.names:
                 self.run(name, 0)
         except ValueError as error:
@@ -238,10 +217,10 @@ class Plan:
 
 
 def run_rows(plan: Plan, task: tuple[str, int]) -> list[Row]:
-    """Run one search of an algorithm, and return a row for each scenario that it requested.
+    """Run one search of an algorithm, and return a row for each requested scenario.
 
     Raises:
-        RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
+        RequestError: if the ADS fails at its first decision in every run of the first generation.
     """
     algorithm, run = task
     made = plan.run(algorithm, run)
@@ -250,6 +229,6 @@ def run_rows(plan: Plan, task: tuple[str, int]) -> list[Row]:
     except SetupFaultError as fault:
         shown = fault.shown(made.world, Policy(made.ads))
         raise RequestError(
-            f"--ads: expected a policy that drives, received one whose search ends: {shown} On the command line, "
+            f"--ads: expected a policy that drives, but its search ended: {shown} On the command line, "
             "world= is --world, config= is --config, and planner_hz= is @planner after the policy's name."
         ) from None

@@ -1,4 +1,4 @@
-"""Measures of the runs of a comparison, and tests of the algorithms against each other, from the rows of results."""
+"""Measures of the runs of a comparison, and statistical tests of the algorithms against each other."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from pytest_pafot.support.proportions import holm
 SECONDS_PER_HOUR = 3600.0
 FAULTS = ("ads_error", "hang")
 
+# The measures for which algorithms are tested against each other, with their columns in `measure_runs`.
 TESTED = {
     "collisions per unique scenario": "share",
     "unique collisions": "collisions",
     "distinct ego-responsible failures": "distinct",
 }
-"""The measures for which algorithms are tested against each other, with their columns in :func:`measured`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,13 +40,13 @@ class Results:
     @classmethod
     def of(cls, plan: Plan, path: Path) -> Results:
         """Read the results of a comparison from the file with its rows, and measure its runs."""
-        frame = read(path)
+        frame = read_rows(path)
         end = horizon(frame)
         return cls(plan=plan, frame=frame[~frame["reused"] & (frame["clock"] <= end)], horizon=end,
-                   runs=measured(frame, end))  # fmt: skip
+                   runs=measure_runs(frame, end))  # fmt: skip
 
 
-def read(path: Path) -> pd.DataFrame:
+def read_rows(path: Path) -> pd.DataFrame:
     """Read the rows of a comparison, and add a column ``is_ego_failure``."""
     frame = pd.read_csv(path, dtype={"scenario": str, "signature": str}, keep_default_na=False, na_values=[""])
     by_ego = (frame["outcome"] == "collision") & frame["responsibility"].isin(["ego", "both"])
@@ -54,46 +54,36 @@ def read(path: Path) -> pd.DataFrame:
     return frame
 
 
-def undriven(rows: pd.DataFrame) -> Iterator[str]:
-    """Yield an error for each algorithm in most of whose simulated scenarios the ego did not drive."""
+def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
+    """Yield an error for each algorithm if the ego did not drive in most of its scenarios."""
     is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
     ended = rows["ended"].astype(object)
     lacks = ended.where(ended.notna(), rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
     for name, each in lacks.groupby(rows["algorithm"], sort=False):
         if 2 * each.count() > len(each):
             yield (
-                f"expected that the ego drives in most of {len(each)} scenarios of {name}, received "
-                f"{each.count()} that were invalid or over within the first second, most often by {each.mode()[0]}; "
-                "correct the policy or the world, and give another folder to --out"
+                f"expected the ego to drive in most of {len(each)} scenarios of {name}, but {each.count()} were "
+                f"invalid or over within the first second (most often: {each.mode()[0]}). Correct the policy or the "
+                "world, and choose another folder for --out."
             )
 
 
 def horizon(frame: pd.DataFrame) -> float:
-    """Return the simulated time of the shortest run of a comparison [s], the limit for comparisons at equal times."""
+    """Return the simulated time of the shortest run [s], up to which runs are compared."""
     return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
 
 
-def measured(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
-    """Return the measures of every run, a row each, from the scenarios that end up to a simulated time [s].
-
-    Columns:
-        algorithm, run: name of the algorithm and number of the run.
-        scenarios: number of unique scenarios, which are those that were simulated.
-        collisions: number of these in which the ego collided.
-        by_npc, by_ego: number of these collisions that only an NPC is responsible for, and that the ego is responsible
-            for, alone or with the NPC; the second includes ADS errors.
-        distinct: number of signatures of failures that the ego is responsible for, including ADS errors.
-        first_failure: simulated time until the first failure that the ego is responsible for [s]; infinite without one.
-        share: share of the unique scenarios that collide.
-    """
+def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
+    """Return the measures of every run, one row each, from the scenarios that end within a simulated time [s]."""
     counted = ~frame["reused"] & (frame["clock"] <= seconds)
     hits, failures = counted & (frame["outcome"] == "collision"), counted & frame["is_ego_failure"]
     columns = {
-        "scenarios": (counted, "sum"),
+        "scenarios": (counted, "sum"),  # unique ones, which are those that were simulated
         "collisions": (hits, "sum"),
-        "by_npc": (hits & (frame["responsibility"] == "npc"), "sum"),
-        "by_ego": (hits & frame["is_ego_failure"], "sum"),
-        "distinct": (frame["signature"].where(failures), "nunique"),
+        "by_npc": (hits & (frame["responsibility"] == "npc"), "sum"),  # collisions with only the NPC responsible
+        "by_ego": (hits & frame["is_ego_failure"], "sum"),  # collisions with the ego responsible, maybe with the NPC
+        "distinct": (frame["signature"].where(failures), "nunique"),  # failures of the ego, including ADS errors
+        # Simulated time until the first failure of the ego [s]; infinite without one.
         "first_failure": (frame["clock"].where(failures, math.inf), "min"),
     }
     all_rows = frame[["algorithm", "run"]].assign(**{name: column for name, (column, _) in columns.items()})
@@ -103,13 +93,13 @@ def measured(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
     return runs
 
 
-def of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
+def rows_of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
     """Select the rows of one algorithm."""
     return runs[runs["algorithm"] == algorithm]
 
 
 def first_failures(runs: pd.DataFrame, seconds: float) -> tuple[list[float], list[bool]]:
-    """Return the time of each run to the ego's first failure [s], and if it is censored, as no failure occurred."""
+    """Return each run's time to the ego's first failure [s], and whether the run had none, so the time is censored."""
     is_censored = np.isinf(runs["first_failure"])
     return runs["first_failure"].where(~is_censored, seconds).tolist(), is_censored.tolist()
 
@@ -133,15 +123,15 @@ class Effect(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survival:
-    """Kaplan-Meier's estimate of the share of runs that are without an event at each time."""
+    """Kaplan-Meier's estimate of the fraction of runs without an event at each time."""
 
-    times: FloatArray  # times at which the estimated share decreases
-    shares: FloatArray  # the share from each of these times on
-    median: float  # the first time at which the share is at most one half; infinite if there is none
+    times: FloatArray  # times at which the estimated fraction decreases
+    shares: FloatArray  # the fraction after each of these times
+    median: float  # the first time at which the fraction is at most one half; infinite if there is none
 
 
-def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
-    """Return the effect size of two samples, its interval and the test; infinite values are equal, and the largest."""
+def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
+    """Return the effect size of two samples, with its interval and test. Infinite values are equal to each other."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
     p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
@@ -149,7 +139,7 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return A12, the probability that a value of the first sample is greater than one of the second, ties as half.
+    """Return A12, the probability that a value of the first sample is greater, where ties count half.
 
     Source: Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000.
     """
@@ -158,13 +148,13 @@ def a12(first: Sequence[float], second: Sequence[float]) -> float:
 
 
 def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the confidence interval of an estimate of A12, which is not a point even if the estimate is 0 or 1.
+    """Return the confidence interval of an estimate of A12, for two sizes of samples.
 
     Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
-    Statistics in Medicine 25(4), 2006, method 5. A value is in the interval if the estimate is within ``z`` standard
-    errors of it; the standard error is that of Hanley and McNeil, with the mean of the two sizes of the samples.
-    ``first`` and ``second`` are these sizes.
+    Statistics in Medicine 25(4), 2006, method 5.
     """
+    # A value is in the interval if the estimate is within z standard errors of it. The standard error is the one of
+    # Hanley and McNeil, with the mean of the two sizes.
     z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
     others = (first + second) / 2 - 1
 
@@ -178,14 +168,14 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
     return low, high
 
 
-def found_in(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Return p of Fisher's two-sided exact test for two pairs: the number of runs with a failure, and of all runs."""
+def fisher_p(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Return p of Fisher's two-sided exact test. Each pair is the number of runs with a failure, and of all runs."""
     table = np.array([[found, runs - found] for found, runs in (first, second)])
     return float(scipy.stats.fisher_exact(table).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
-    """Estimate the share without an event from times to an event, or without an event if censored.
+    """Estimate the fraction of runs without an event from their times to an event, which may be censored.
 
     Source: Kaplan, Meier, JASA 53, 1958.
     """
@@ -199,7 +189,7 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """Return p of the two-sided log-rank test on times that may be censored; 1 if no event tells the samples apart."""
+    """Return p of the two-sided log-rank test on times that may be censored; 1 if nothing distinguishes them."""
     if all(first_censored) and all(second_censored):
         return 1.0
     with np.errstate(invalid="ignore"):  # If all events are at one time, it divides 0 by a variance of 0.
@@ -212,13 +202,13 @@ def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stat
 
 
 class Comparison(NamedTuple):
-    """The result of a statistical test of one algorithm against a second algorithm."""
+    """The result of a statistical test of one algorithm against another."""
 
     measure: str  # name of the measure
     first: str  # name of the first algorithm
     second: str  # name of the second algorithm
     value_first: float  # value of the first algorithm: a median, or a count of runs
-    value_second: float  # that of the second
+    value_second: float  # value of the second algorithm
     a12: float | None  # effect size; None for tests of counts and of censored times
     a12_low: float | None  # its 95 % interval
     a12_high: float | None
@@ -232,13 +222,13 @@ def comparisons(results: Results) -> list[Comparison]:
     first, *others = results.plan.names
     found: list[Comparison] = []
     for second in others:
-        a, b = of(first, results.runs), of(second, results.runs)
+        a, b = rows_of(first, results.runs), rows_of(second, results.runs)
         for measure, column in TESTED.items():
-            effect = compared(a[column].tolist(), b[column].tolist())
+            effect = effect_size(a[column].tolist(), b[column].tolist())
             values = float(np.median(a[column])), float(np.median(b[column]))
             found.append(Comparison(measure, first, second, *values, *effect, "Mann-Whitney U"))
         counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
-        p = found_in((counts[0], len(a)), (counts[1], len(b)))
+        p = fisher_p((counts[0], len(a)), (counts[1], len(b)))
         measure = "runs that found an ego-responsible failure"
         found.append(Comparison(measure, first, second, *counts, None, None, None, p, "Fisher exact"))
         times = [first_failures(each, results.horizon) for each in (a, b)]

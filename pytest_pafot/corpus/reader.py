@@ -1,13 +1,7 @@
-"""The reading of corpus files: a strictly checked finding, or an error with line, field and remedy.
+"""The reader of corpus files, which may come from an untrusted source.
 
-A file stores the whole world, so a later change of a default does not change a saved scenario. Keys that are added
-later are optional, and a file without them keeps its meaning. docs/reference/corpus-files.md describes the format.
-
-A file is untrusted input: plain data with line numbers, and no other feature of YAML. Aliases, anchors, tags, merge
-keys, repeated keys and second documents are refused, and dates are allowed in only one place. Size and depth are
-limited. Errors quote only files that begin like a saved scenario: any other file with such a name may be a secret.
-
-At collection no file is an error: a :class:`Saved` has either the finding or the text of the error.
+A file stores the complete world, so new defaults do not change a saved scenario. The format is described in
+docs/reference/files.md.
 """
 
 from __future__ import annotations
@@ -51,24 +45,18 @@ from pytest_pafot.support.files import LFS_POINTER, open_regular
 from pytest_pafot.support.text import day_of, visible
 
 VERSION = 3
-"""The version of the format that is written. No other version can be read."""
+"""The only version of the format that can be read."""
 
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
 MOST_VALUES = 40_000
-"""The largest number of values in a document. Reading a value takes about 10 microseconds.
-
-A file of this plugin with more values would be larger than the limit of size.
-"""
+"""The largest number of values in a file."""
 
 Place = tuple[str | int, ...]
-"""The place of a value: the keys and indices that lead from the top of the document to the value."""
+"""The keys and indices that lead from the top of a document to a value."""
 
 XFAIL, REASON = "xfail", "reason"
-"""The keys that decide where a date needs no quotes: in ``xfail``, under any key except ``reason``.
-
-Any key is allowed, so that the error about a misspelt ``until`` names the key, and not the missing quotes.
-"""
+"""The key for accepted failures, and the only key inside it where a date needs quotes."""
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
@@ -78,30 +66,32 @@ _WORD = re.compile(r"true|false|null|")
 _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
-"""The pattern of a saved scenario's beginning, after comments. It distinguishes a faulty scenario from other files."""
-NOT_SHOWN = "a file that does not begin like a saved scenario, so its content is not printed"
+"""The start of a saved scenario, which distinguishes a faulty file from an unrelated one."""
+NOT_SHOWN = "a file that does not start like a saved scenario, so its content is not printed"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
-"""The line of every value of a document, by the value's place. Lines are counted from 1."""
+"""The line of each value, counted from 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The required and the optional keys of a mapping in a corpus file."""
+    """The required and optional keys of a mapping."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...] = ()
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All keys, the required ones first."""
         return (*self.required, *self.optional)
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A value in a document, with its place. Each method checks the value, and raises an error that names the place."""
+    """A value in a document, with methods that check its type.
+
+    Each method returns the checked value, or raises a :class:`CorpusError` that names the line and the field.
+    """
 
     path: Path
     lines: Lines
@@ -110,26 +100,24 @@ class Field:
 
     @property
     def name(self) -> str:
-        """The name of the value in an error, such as ``scenario.npcs[0][3].cell``."""
+        """The name of the value in error messages, such as ``scenario.npcs[0][3].cell``."""
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
-        """Return an error about the value, with its line or the nearest line that is known."""
+        """Return an error with the line of the value, or of the nearest value around it."""
+        # The innermost place with a known line. The document itself always has one.
         places = (self.place[:end] for end in range(len(self.place), -1, -1))
         line = next(self.lines[place] for place in places if place in self.lines)
         return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
 
     def at(self, part: str | int) -> Field:
-        """Return the value under a key, or at an index, of this mapping or list."""
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys, hint: str = "") -> dict[str, Field]:
-        """Return the values of this mapping; it must have all required keys and no unknown keys.
-
-        The ``hint`` is added to the advice on an unknown key.
-        """
+        """Return the values of a mapping with these keys. ``hint`` is added to the advice on an unknown key."""
         fields = self.any_mapping()
         known = keys.all
+        # Unknown keys are reported before missing ones, because a misspelt key causes both.
         for key in fields:
             if key not in known:
                 fix = "; ".join(filter(None, (_guess(key, known), hint)))
@@ -141,37 +129,32 @@ class Field:
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
-        """Return the values of this mapping, which may have any keys."""
         if not isinstance(self.value, dict):
             raise self.error("a mapping (key: value)")
         return {key: self.at(key) for key in self.value}
 
     def items(self) -> list[Field]:
-        """Return the values of this list."""
         if not isinstance(self.value, list):
             raise self.error("a list")
         return [self.at(index) for index in range(len(self.value))]
 
     def text(self) -> str:
-        """Return the value; it must be a text."""
         if not isinstance(self.value, str):
-            raise self.error("text", "put it in quotes")
+            raise self.error("a string", "put it in quotes")
         return self.value
 
     def some_text(self, fix: str) -> str:
-        """Return the value; it must be a text that is not blank. ``fix`` is the advice in the error."""
+        """Return a text that is not blank. ``fix`` is the advice in the error."""
         if not isinstance(self.value, str) or not self.value.strip():
-            raise self.error("some text", fix)
+            raise self.error("a string that is not blank", fix)
         return self.value
 
     def choice(self, options: Collection[str]) -> Any:
-        """Return the value; it must be a text among the options."""
         if not isinstance(self.value, str) or self.value not in options:
             raise self.error(one_of(options), _guess(str(self.value), options))
         return self.value
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
-        """Return the value; it must be a whole number within limits."""
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
             top = "" if high is None else f" to {high}"
@@ -179,20 +162,18 @@ class Field:
         return number
 
     def day(self) -> date:
-        """Return the value as a day; it must be a text such as 2027-01-31."""
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
             raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
         return day
 
     def truth(self) -> bool:
-        """Return the value; it must be true or false."""
         if not isinstance(self.value, bool):
             raise self.error("true or false", "correct it")
         return self.value
 
     def number(self, low: float = 0.0) -> float:
-        """Return the value; it must be a finite number that is not below ``low``."""
+        """Return a finite number that is at least ``low``."""
         number = plain_number(self.value)
         if number is None or not low <= number <= MAX_NUMBER:
             raise self.error(f"a finite number, at least {low:g}", "correct it")
@@ -200,32 +181,32 @@ class Field:
 
 
 def one_of(options: Collection[str]) -> str:
-    """Return the words for a choice in an error, such as "one of a, b"."""
+    """Return a list of choices for an error message."""
     return f"one of {', '.join(options)}"
 
 
 def _guess(word: str, options: Collection[str]) -> str:
-    """Return the advice for an unknown word: similar words, if there are any."""
     close = difflib.get_close_matches(word, list(options), n=1)
     return f"did you mean {close[0]!r}?" if close else "correct or remove it"
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
-    """Return the top mapping of the YAML document in a file: None, bool, int, float, str, lists and dicts of these.
+    """Return the top mapping of the YAML document in a file.
 
     Args:
         path: the path of the file, for errors.
-        content: the content in UTF-8, with or without a byte order mark.
-        base: one of PyYAML's safe loaders; by default the compiled one, if it is installed.
+        content: the content in UTF-8.
+        base: a safe loader of PyYAML, by default the compiled one if it is installed.
 
     Raises:
-        CorpusError: for an error in the text or the syntax, for anything that is not plain data, and for a document
-            of another version.
+        CorpusError: for invalid YAML, for tags, aliases and other special features, and for another version.
     """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
+    # Checks from cheap to expensive. An error must not print the content of a file that does not look like a saved
+    # scenario, since such a file may contain a secret.
     if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
-        fix = f"give a file that ends in {SUFFIX}; this one is for other tools, such as those that `export` writes for"
-        raise CorpusError(path, "a saved scenario", "a file of another kind", fix)
+        fix = f"give a file that ends in {SUFFIX}; this one is for another tool, or `export` wrote it"
+        raise CorpusError(path, "a saved scenario", "a file of a different kind", fix)
     if len(content) > MAX_BYTES:
         raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
@@ -246,15 +227,16 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
-        fix = f"install the pytest-pafot that wrote it, or delete it and search again; this one reads version {VERSION}"
+        fix = "install the pytest-pafot that wrote it, or delete the file and search again"
         # Without a version, this may be some other file with a secret under that key, so its value is not printed.
-        raise version.error(f"the format version {VERSION}", fix, None if is_whole else "no whole number")
+        raise version.error(f"the format version {VERSION}", fix, None if is_whole else "a different kind of value")
     return top
 
 
 def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
     __tracebackhide__ = True
     try:
+        # With or without a byte order mark.
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
@@ -274,14 +256,14 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         if isinstance(error, yaml.MarkedYAMLError):
             mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
             where = None if mark is None else mark.line + 1
-        received, fix = f"text with this error: {problem}", "correct it, or restore the file"
+        received, fix = f"a syntax error: {problem}", "correct it, or restore the file"
         raise CorpusError(path, "valid YAML", received, fix, line=where) from None
     finally:
         loader.dispose()
 
 
 class _Builder:
-    """A builder of plain data from the events of a YAML loader. Refused features such as aliases are never expanded."""
+    """A builder of JSON-compatible data from YAML events, which never expands an alias."""
 
     def __init__(self, path: Path, loader: Any) -> None:
         self.path = path
@@ -303,16 +285,18 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one document", "none or several", "leave one document in each file")
+            raise self._error(event, "exactly one document", "none or several", "keep one document per file")
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
         self.values += 1
         if self.values > MOST_VALUES:
+            # A value takes about 10 microseconds to read. A file of this plugin reaches the limit of size first.
             raise self._error(event, f"at most {MOST_VALUES} values", "more", "delete or shorten the file")
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
+            # Expanding aliases can use up all memory (a "billion laughs" attack).
             name = f"the alias or anchor {event.anchor!r:.40}"
-            raise self._error(event, "plain values", name, "write the value out")
+            raise self._error(event, "plain values", name, "write the value in full")
         if event.tag is not None:
             raise self._error(event, "values without tags", f"the tag {event.tag!r:.60}", "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
@@ -329,20 +313,20 @@ class _Builder:
             return str(event.value)
         if tag not in _PLAIN_TAGS:
             received = f"{event.value!r:.60}, which YAML reads as a {tag.removeprefix(_PREFIX)}"
-            raise self._error(event, "a number, text, true, false or null", received, "put it in quotes")
+            raise self._error(event, "a number, a string, true, false or null", received, "put it in quotes")
         if event.implicit[0]:
-            # Versions of YAML, or people, read these as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
+            # YAML 1.1, YAML 1.2 and people read these in different ways: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
             text, kind = event.value, tag.removeprefix(_PREFIX)
             is_number = kind in ("int", "float")
             if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
-                fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes"
+                fix = "write it as 10, 0.5 or 1.0e-5, or put a string in quotes"
                 raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
             if kind in ("bool", "null") and not _WORD.fullmatch(text):
-                raise self._error(event, "true, false or null", f"{text!r:.60}", "put text in quotes")
+                raise self._error(event, "true, false or null", f"{text!r:.60}", "put a string in quotes")
         try:
             return self.loader.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
         except (ValueError, OverflowError):
-            fix = "write a smaller one, or put text in quotes"
+            fix = "write a smaller one, or put a string in quotes"
             raise self._error(event, "a number", f"{event.value!r:.40}", fix) from None
 
     def _mapping(self, place: Place) -> dict[str, Any]:
@@ -350,9 +334,10 @@ class _Builder:
         for event in self._until(yaml.MappingEndEvent):
             key = self._value((*place, "?"), event)
             if not isinstance(key, str):
-                raise self._error(event, "keys of text", f"the key {key!r:.60}", "put it in quotes")
+                raise self._error(event, "keys that are strings", f"the key {key!r:.60}", "put it in quotes")
             if key in mapping:
-                raise self._error(event, "each key once", f"{key!r:.60} again", "remove one of them")
+                raise self._error(event, "each key only once", f"{key!r:.60} again", "remove one of them")
+            # "?" is the place of all keys. After the value is read, its line becomes the line of the key.
             mapping[key] = self._value((*place, key), self.loader.get_event())
             self.lines[(*place, key)] = _line(event)
         self.lines.pop((*place, "?"), None)
@@ -368,7 +353,7 @@ def _line(event: Any) -> int:
 
 
 DEFAULT_GENE_SECONDS = 10.0
-"""The duration of a gene in a file that does not give it [s]. It stays, whatever the default of a scenario becomes."""
+"""The duration of a gene in a file that does not state it [s]. It must never change."""
 
 FILE = Keys(
     ("pafot", "scenario", "expect", "found", "test", "world"),
@@ -383,32 +368,28 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
         "own": Keys(("kind",), ("class", "data")),
     }
 )
-"""The keys of ``world``, by its kind. Of the user's own world, ``data`` holds what its ``to_dict`` returns."""
+"""The keys of ``world`` by its kind. ``data`` contains what ``to_dict`` of a custom world returns."""
 
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
-"""The keys of ``limits`` in a world."""
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
-"""The keys of ``scenario``. ``npcs`` holds a list of genes for each NPC by its name, ``NPC 0`` and so on."""
 
 EGO = Keys(("lane", "speed"))
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",)}
 )
-"""The fields of dataclasses that a file must have, although they have a default in code. A field without a default is
-required, too, and any other field may be left out."""
+"""Fields that a file must contain although they have a default in the code."""
 
 SIGNED = frozenset({
     "slot", "value", "at_most", "at_least", "gap", "lanes_to_right", "npc_enters", "ego_enters", "ego_speed",
     "npc_speed",
 })  # fmt: skip
-"""The fields of dataclasses whose numbers may be negative."""
+"""Fields that may be negative."""
 
 MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})
-"""The keys that tell the dataclasses of a union apart. Without any, it is the union's first dataclass."""
+"""The keys that distinguish the dataclasses of a union."""
 
 Read = Callable[[Field], Any]
-"""A function that reads a value; it raises a CorpusError for a value that does not fit."""
 
 T = TypeVar("T")
 
@@ -429,20 +410,17 @@ _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed":
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
-    """Read a corpus file and return its finding. The finding's id is the file's name.
+    """Read a corpus file and return its finding.
 
     Raises:
-        CorpusError: if anything in the file is wrong. The message names the place and what to do.
+        CorpusError: if the file is invalid. The message contains the line, the field and a fix.
     """
     path = Path(path)
     return parsed(path, content_of(path))
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
-    """Return the finding in the content of a file, like :func:`load`.
-
-    ``loader`` is passed to :func:`~pytest_pafot.corpus.reader.parse`.
-    """
+    """Return the finding in the content of a corpus file."""
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     top = parse(path, content, loader)
     name = path.name.removesuffix(SUFFIX)
@@ -452,10 +430,11 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     fields = top.mapping(FILE)
     scenario = _scenario(fields["scenario"])
 
+    # An expected NPC must exist in the scenario, so the reader of that number needs the scenario.
     def npc(field: Field) -> int:
         return field.whole(0, len(scenario.npcs) - 1)
 
-    reason, until = _given(fields, "xfail", _xfail, (None, None))
+    reason, until = _optional(fields, "xfail", _xfail, (None, None))
     return Finding(
         id=name,
         test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
@@ -463,20 +442,17 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         scenario=scenario,
         expect=_expect(fields["expect"], npc),
         found=_record(fields["found"], Found),
-        perception=_given(fields, "perception", _perceived),
-        shrunk=_given(fields, "shrunk", lambda field: _record(field, Shrunk)),
-        rate=_given(fields, "rate", _rate),
-        flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
+        perception=_optional(fields, "perception", _perceived),
+        shrunk=_optional(fields, "shrunk", lambda field: _record(field, Shrunk)),
+        rate=_optional(fields, "rate", _rate),
+        flaky=_optional(fields, "flaky", lambda field: field.some_text("write what differed, or remove the line")),
         xfail=reason,
         xfail_until=until,
     )
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """Return an error about a part of a valid file, with the line of the part.
-
-    ``error`` was raised when the part, which is ``world`` or ``scenario``, was built or run.
-    """
+    """Return an error that names the line of ``world`` or ``scenario``, after ``error`` was raised for that part."""
     try:
         return _rule_broken(parse(path, content_of(path)).at(part), error)
     except CorpusError as changed:  # the file was changed since it was read
@@ -484,10 +460,10 @@ def located(path: Path, part: str, error: Exception) -> CorpusError:
 
 
 def content_of(path: Path) -> bytes:
-    """Return the content of a corpus file. A file that is too large is cut to one byte more than the limit.
+    """Return the content of a file, cut to one byte more than the limit.
 
     Raises:
-        CorpusError: if the file cannot be read, or is a link that leads out of its corpus.
+        CorpusError: if the file cannot be read, or is a link to a file outside its corpus.
     """
     try:
         with open_regular(_at_the_end_of_links(path)) as file:
@@ -498,16 +474,14 @@ def content_of(path: Path) -> bytes:
 
 
 def _at_the_end_of_links(path: Path) -> Path:
-    """Return the path from which a corpus file is read, after links are followed.
-
-    A link may lead to another saved scenario in the same corpus, which is the folder above those of module and test.
-    Some tools put every file behind a link that leads elsewhere. Two kinds of such links are accepted, because a pull
-    request cannot place files behind them: git-annex links to its store, which no commit can change, and build systems
-    such as Bazel link to the same place in another tree.
+    """Return the path after links are followed.
 
     Raises:
-        CorpusError: if any other link leads out of its corpus.
+        CorpusError: if a link leads out of the corpus.
     """
+    # A link may lead to another scenario of the same corpus, three folders above the file. Two tools put files behind
+    # links that lead out of it, and a pull request cannot place files behind those: git-annex links to its store,
+    # and build systems such as Bazel link to the same path in another tree.
     path = path.absolute()
     real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
     if real == folder / path.name or real.name.endswith(SUFFIX):
@@ -517,12 +491,11 @@ def _at_the_end_of_links(path: Path) -> Path:
             return real
     if any(real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")) for above in path.parents):
         return real
-    fix = "replace the link by the file itself, or delete the link"
-    raise CorpusError(path, "a file of its corpus", "a link that leads out of it", fix)
+    fix = "replace the link with the file itself, or delete the link"
+    raise CorpusError(path, "a file inside the corpus", "a link that leads out of it", fix)
 
 
-def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
-    """Return the value of an optional key, read by ``get``; the default if the key is missing."""
+def _optional(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
     return get(fields[key]) if key in fields else default
 
 
@@ -533,9 +506,10 @@ def _world(field: Field) -> dict[str, Any]:
         try:
             check_plain(field.name, {key: value})
         except ValueError as error:
-            raise field.at(key).error("plain data", "correct it", str(error)) from None
+            raise field.at(key).error("JSON-compatible data", "correct it", str(error)) from None
     kind = world.get("kind")
     if isinstance(kind, str) and kind in WORLDS:
+        # An unknown kind is rejected when the world is built, where its error is the same as for a dict in code.
         field.mapping(WORLDS[kind])
         if "limits" in fields:
             fields["limits"].mapping(LIMITS)
@@ -549,7 +523,6 @@ def _world(field: Field) -> dict[str, Any]:
 
 @cache
 def _keys_of(kind: Any) -> Keys:
-    """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
     needed = {*REQUIRED.get(kind, ())}
     needed |= {each.name for each in fields_of(kind) if each.default is MISSING and each.default_factory is MISSING}
     names = [each.name for each in fields_of(kind)]
@@ -557,11 +530,7 @@ def _keys_of(kind: Any) -> Keys:
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
-    """Return the dataclass that a mapping holds.
-
-    A value is read by the function in ``own`` with the name of its key, which also applies to dataclasses inside. Any
-    other value is read as the type of its field says.
-    """
+    """Return the dataclass that a mapping describes. ``own`` contains special readers for some keys."""
     keys, types = _keys_of(kind), types_of(kind)
     fields = field.mapping(keys)
     values = {  # in the order of the keys, so that a function in ``own`` can rely on the values before its own
@@ -569,11 +538,10 @@ def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
         for key in keys.all
         if key in fields
     }
-    return _made(field, kind, values)
+    return _build(field, kind, values)
 
 
-def _made(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T:
-    """Return the dataclass with the values; if they break one of its rules, the error names the place in the file."""
+def _build(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T:
     try:
         return kind(**values)
     except FieldError as error:
@@ -582,13 +550,12 @@ def _made(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T:
 
 @cache
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return the origin of a generic type, and its arguments other than None."""
     return get_origin(kind), tuple(each for each in get_args(kind) if each is not NoneType)
 
 
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
-    """Return a value of a type. A key that is not there stands for None, so no value may be null."""
     origin, inner = _parts(kind)
+    # No value may be null: a missing key means None. So an optional type is read as its first other type.
     if origin in (Union, UnionType):
         marked = [(key, each) for key, each in MARKS.items() if each in inner]
         keys = field.any_mapping() if marked else ()
@@ -617,14 +584,15 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
         for name in field.value:
             now = getattr(value, name)
             if type(now) is float and now != field.value[name]:  # the gene has rounded the number
-                unit = {"slot": "seconds", "speed": "m/s"}.get(name, "a number")
-                raise field.at(name).error(f"{unit} in steps of 0.1", f"write {now}")
+                unit = {"slot": " seconds", "speed": " m/s"}.get(name, "")
+                raise field.at(name).error(f"a value in steps of 0.1{unit}", f"write {now}")
     return value
 
 
 def _kind_of(field: Field) -> type[Instruction]:
-    """Return the kind of instruction that a mapping holds, by its target."""
+    """Return the kind of instruction whose target a mapping contains."""
     keys = field.any_mapping()
+    # If a key belongs to another kind, the error lists the keys of this kind.
     kind = next((kind for kind in KINDS if kind.goal_kind in keys), PositionInstruction)
     if not keys.keys() <= {*_keys_of(kind).all}:
         field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}")
@@ -642,11 +610,11 @@ def _scenario(field: Field) -> Scenario:
         "seed": fields["seed"].whole(),
         "ego_lane": ego["lane"].whole(),
         "ego_speed": ego["speed"].number(),
-        "gene_seconds": _given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
-        "traffic": _given(fields, "traffic", lambda inner: inner.choice(tuple(STYLES)), PAPERS),
-        "vehicles": tuple(_given(vehicles, name, _vehicle, CAR) for name in names),
+        "gene_seconds": _optional(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
+        "traffic": _optional(fields, "traffic", lambda inner: inner.choice(tuple(STYLES)), PAPERS),
+        "vehicles": tuple(_optional(vehicles, name, _vehicle, CAR) for name in names),
     }
-    return _made(field, Scenario, values)
+    return _build(field, Scenario, values)
 
 
 def _vehicle(field: Field) -> VehicleType:
@@ -654,14 +622,16 @@ def _vehicle(field: Field) -> VehicleType:
         return READY[field.choice(tuple(READY))]
     if not isinstance(field.value, dict):
         expected = f"{one_of(tuple(READY))}, or a mapping with a name and a size"
-        raise field.error(expected, "write such as `truck`, or `{name: bus, length: 12.0, width: 2.5}`")
+        raise field.error(expected, "write for example `truck`, or `{name: bus, length: 12.0, width: 2.5}`")
     return _record(field, VehicleType)
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
-    """Return an error of a scenario or a world with the place in the file that caused the error."""
+    """Return an error of a scenario or a world, with the line that caused it."""
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
+    # Translate the field of the error, such as npcs[0][3].cell, into keys of the file, and follow them as far as they
+    # exist.
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
     others[:1] = [f"NPC {npc}" if key in ("npcs", "vehicles") else npc for npc in others[:1]]
     inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
@@ -686,12 +656,12 @@ def _has(value: object, part: str | int) -> bool:
 def _expect(field: Field, npc: Read) -> Expect:
     fields = field.mapping(_keys_of(Expect))
     if fields["outcome"].choice(_OUTCOMES) == Outcome.COLLISION:
-        # An NPC that crosses hits the ego in a zone, off the ego's way; every other NPC is in a cell.
+        # An NPC on a crossing path hits the ego in a conflict zone. Every other NPC is in a cell around the ego.
         with_npc = ("npc", "zone" if "zone" in fields else "cell", "side")
         is_fixed = not {"npc", "zone", "cell", "situation"} & {*fields}  # it hit a fixed object
         field.mapping(Keys(("side",) if is_fixed else with_npc, tuple(fields)))
     if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
-        raise fields["mistake"].error("no mistake without the fault entered-lane, because other faults say it")
+        raise fields["mistake"].error("no mistake, because only the fault entered-lane has one")
     return _record(
         field,
         Expect,
@@ -703,7 +673,6 @@ def _expect(field: Field, npc: Read) -> Expect:
 
 
 def _xfail(field: Field) -> tuple[str, date]:
-    """Return why the failure is accepted, and the last day."""
     fields = field.mapping(Keys(("reason", "until")))
     return fields["reason"].some_text('write the reason in quotes, as in reason: "issue 12"'), fields["until"].day()
 
@@ -716,11 +685,11 @@ def _rate(field: Field) -> FailureRate:
 
 def _perceived(field: Field) -> Sight:
     fields = field.mapping(Keys((), tuple(types_of(Sight))))
-    return _made(field, Sight, {name: inner.value for name, inner in fields.items()})
+    return _build(field, Sight, {name: inner.value for name, inner in fields.items()})
 
 
 class Saved(NamedTuple):
-    """A corpus file as collected, with its finding, or with an error that says why the file cannot be read."""
+    """A corpus file with its finding, or with the reason why the file cannot be read."""
 
     path: Path
     finding: Finding | None = None
@@ -728,7 +697,7 @@ class Saved(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> Saved:
-        """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
+        """Read a corpus file. An error is stored, and raised only when the item of the file runs."""
         try:
             return cls(path=path, finding=load(path))
         except (CorpusError, OSError) as error:
@@ -736,26 +705,24 @@ class Saved(NamedTuple):
 
     @property
     def id(self) -> str:
-        """The id of the finding, which is the file's name without its suffix."""
         return self.path.name.removesuffix(SUFFIX)
 
     @property
     def xfail(self) -> str | None:
-        """The reason why the failure is accepted; None if it is not accepted."""
+        """The reason why the failure is accepted, or None."""
         return None if self.finding is None else self.finding.xfail
 
     def is_accepted(self, today: date) -> bool:
-        """Return whether the failure is accepted (``xfail``) on a day."""
         return self.finding is not None and self.finding.is_accepted(today)
 
     @property
     def is_crash(self) -> bool:
-        """True if a process died in this scenario."""
+        """Whether the process died in this scenario."""
         return self.finding is not None and self.finding.expect.is_crash
 
     @property
     def needs_own_process(self) -> bool:
-        """True if a run of this scenario may end the process, never end, or use up all memory."""
+        """Whether a run may end the process, hang or exhaust the memory."""
         expect = None if self.finding is None else self.finding.expect
         return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 
@@ -764,7 +731,7 @@ class Saved(NamedTuple):
 
 
 def named_file(given: str) -> Path:
-    """Return the file of a saved scenario, given its path, its id, or the name of its item as pytest prints it.
+    """Return the corpus file with a path, an id, or the name of an item as pytest prints it.
 
     Raises:
         CorpusError: if there is no such file below the current folder, or more than one.
@@ -779,7 +746,7 @@ def named_file(given: str) -> Path:
     expected = "the file of a saved scenario, or the id of a saved scenario below the current folder"
     if found:
         fix = f"give one of the files: {', '.join(map(str, found))}"
-        raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
+        raise CorpusError(path, expected, f"an id that occurs in {len(found)} files", fix)
     names = list(dict.fromkeys(files.values()))
     near = [each for each in names if name in each] or difflib.get_close_matches(name, names)
     fix = (
@@ -791,10 +758,10 @@ def named_file(given: str) -> Path:
 
 
 def saved_in(folder: Path) -> list[Saved]:
-    """Read all corpus files in a folder; return them, sorted by id."""
+    """Read all corpus files in a folder, sorted by id."""
     return [Saved.read(path) for path in files_in(folder)]
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:
-    """Return the files of a folder as unreadable, because the folder is behind a link that leads out of the project."""
+    """Return the files of a folder that is not read because it is behind a link out of the project."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]

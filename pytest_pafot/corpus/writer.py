@@ -1,7 +1,4 @@
-"""The text of corpus files, which people read and version control compares, and the writing of the files.
-
-A new file never replaces another file, and a rewritten file keeps its name.
-"""
+"""The writer of corpus files, in a form that people can read and compare."""
 
 from __future__ import annotations
 
@@ -26,24 +23,25 @@ from pytest_pafot.support.files import way_out, write_if_free, write_whole
 
 
 class CorpusWriteError(RuntimeError):
-    """An error for a finding that could not be written. No unfinished file is left behind."""
+    """An error for a finding that could not be written."""
 
     def __init__(self, path: Path, reason: str, fix: str) -> None:
-        super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
+        super().__init__(f"{path}: expected to write a finding here, received this error: {reason}; {fix}")
         self.path = path
 
 
 def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
-    """Write the file of a finding, as a whole or not at all; with ``over`` also over an existing file.
+    """Write the file of a finding completely or not at all.
 
-    Return False if the file exists already, for example because another process has written it.
+    Return False if the file exists and ``over`` is not set.
 
     Raises:
         CorpusWriteError: if the file cannot be written.
     """
     content = text_of(finding).encode()
     if len(content) > MAX_BYTES:
-        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
+        # The reader would reject the file, so the finding would be lost.
+        reason = f"the file would have {len(content) // 1024} KiB, more than the limit of {MAX_BYTES // 1024} KiB"
         raise CorpusWriteError(path, reason, "use fewer or shorter chains")
     try:
         if not over:
@@ -56,16 +54,15 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace the content of a finding's file, as a whole or not at all; the file's ``xfail`` stays.
-
-    A missing file is written again. A file that cannot be read is not overwritten. Return the finding as written.
+    """Replace the file of a finding, but keep the accepted failure that is stored in it.
 
     Raises:
-        CorpusWriteError: if the file cannot be written.
+        CorpusWriteError: if the file cannot be written, or the old one cannot be read.
     """
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
         try:
+            # The user may have accepted the failure since this finding was read.
             there = load(path)
             kept = finding.accepting(there.xfail, there.xfail_until)
         except CorpusError as error:
@@ -75,14 +72,13 @@ def rewrite(path: Path, finding: Finding) -> Finding:
 
 
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
-    """Return the path for a new finding, and the finding with the id of that path.
+    """Return a path for a new finding, and the finding with the id of that path.
 
-    If a file already holds this finding, shrunk or not, its path is returned, and :func:`write` leaves the file
-    unchanged. If a file with the finding's id as its name holds a different failure, ``-2``, ``-3`` ... is appended to
-    the id. This is necessary if the failure in a file was replaced by a different failure under the same file name, and
-    the first failure is found again. ``passed`` are files whose replays do not show the finding. If such a file has
-    another scenario, such as a shrunk one, it stays as a guard, and the finding is written into a new file.
+    If a file already contains the finding, its path is returned. ``passed`` are files whose replays did not show the
+    finding.
     """
+    # The id is a hash of the scenario before shrinking. If the file with that id was updated to another failure and
+    # the first one is found again, the id is taken, so the new file gets the suffix -2, -3 and so on.
     number = 1
     while True:
         name = finding.id if number == 1 else f"{finding.id}-{number}"
@@ -93,11 +89,11 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
 
 
 def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
-    """Return whether a file of a finding's name, which has the id of its scenario as found, holds the finding."""
     try:
         saved = load(path)
     except CorpusError:
-        return False
+        return False  # a file that the user may still repair is not overwritten
+    # A guard is a file whose replay passes. If its scenario is another one, for example a shrunk one, both are kept.
     return saved.signature == finding.signature and not (is_guard and saved.scenario != finding.scenario)
 
 
@@ -112,13 +108,14 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 
 
 def text_of(finding: Finding) -> str:
-    """Return the text of the corpus file of a finding, with LF line ends."""
+    """Return the content of a corpus file."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
 
     xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
         xfail = f"xfail: {{reason: {_quoted(finding.xfail)}, until: {finding.xfail_until}}}"
     rate = finding.rate
+    # People read these files in pull requests, so the scenario and its expected result come first.
     lines = [
         f"pafot: {VERSION}",
         *_scenario_lines(finding.scenario),
@@ -136,12 +133,11 @@ def text_of(finding: Finding) -> str:
 
 
 def _known(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values without those that are unknown."""
     return {name: value for name, value in values.items() if value not in (None, "")}
 
 
 def named(scenario: Scenario) -> dict[str, Any]:
-    """Return a scenario as plain data in which everything has its name, as files and results contain it."""
+    """Return a scenario as JSON-compatible data with a name for each value."""
     fields: dict[str, Any] = {"seed": scenario.seed, "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed}}
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
         fields["gene_seconds"] = scenario.gene_seconds
@@ -164,7 +160,6 @@ def _scenario_lines(scenario: Scenario) -> Iterator[str]:
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
-    """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
     values = asdict(expect)  # in the order of the dataclass
     values["check"] = _known(values["check"] or {})
     for last in ("situation", "traceback"):  # the longest ones
@@ -178,9 +173,9 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
 
 
 def _block(entries: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of a mapping without braces; a text of several lines is a block as well."""
     for key, value in entries.items():
         if isinstance(value, str) and _fits_literal(value):
+            # "|-" means that the string does not end with a line break.
             yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
             yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
         else:
@@ -188,10 +183,7 @@ def _block(entries: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _fits_literal(text: str) -> bool:
-    """Return whether a text can be written as a literal block, from which YAML reads it unchanged.
-
-    For that, all lines must be printable, and the first and the last line must not be empty or indented.
-    """
+    # YAML reads a literal block unchanged only if all of this is true.
     lines = text.removesuffix("\n").split("\n")
     is_plain = all(line.replace("\t", "").isprintable() for line in lines)
     return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
@@ -200,13 +192,14 @@ def _fits_literal(text: str) -> bool:
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
     """Return the lines of a mapping or list in flow style, wrapped to the width.
 
-    The text begins with ``head`` and ends with ``tail``. A value that does not fit into a line continues below its
-    first entry. ``column`` is the column at which the caller will put the head.
+    The first line begins with ``head``, the last one ends with ``tail``. ``column`` is the indentation of the head.
     """
     if not value:
         return [head + _flow(value) + tail]
     is_mapping = isinstance(value, Mapping)
     entries = list(value.items()) if is_mapping else [(None, each) for each in value]
+    # A value that is too long for its line is wrapped by this function, below its own first entry. The entry after it
+    # starts a new line.
     opening, closing = "{}" if is_mapping else "[]"
     lines, inner, is_broken = [head + opening], column + len(head) + 1, False
     for index, (key, each) in enumerate(entries):
@@ -228,7 +221,6 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
 
 
 def _flow(value: object) -> str:
-    """Return the YAML of a value in flow style, on one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -252,9 +244,9 @@ def _scalar(value: object) -> str:
 
 
 def _is_plain(text: str, also: str = "") -> bool:
-    """Return whether a text needs no quotes, because YAML 1.1 and 1.2 read it unchanged, also inside brackets.
+    """Return whether YAML 1.1 and 1.2 read a text unchanged without quotes.
 
-    ``also`` are more characters to allow, for a text outside of brackets.
+    ``also`` contains more characters to allow.
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
@@ -267,15 +259,12 @@ def _number(value: float) -> str:
     text = float.__repr__(value)
     if text in ("inf", "-inf"):
         return text.replace("inf", ".inf")
+    # YAML 1.1 reads 1e-05 as a string, and 1.0e-05 as a number.
     mantissa, exponent, power = text.partition("e")
     return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
 
 
 def _quoted(text: str) -> str:
-    """Return a text in double quotes for YAML. Characters that are not printable are escaped.
-
-    A lone surrogate, which no text file can contain, becomes the replacement character.
-    """
     return '"' + "".join(map(_escaped, text)) + '"'
 
 
@@ -285,5 +274,6 @@ def _escaped(character: str) -> str:
     if character.isprintable():
         return character
     if "\ud800" <= character <= "\udfff":
+        # No text file in UTF-8 can contain a lone surrogate.
         return "\ufffd"
     return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028: YAML uses the same escapes

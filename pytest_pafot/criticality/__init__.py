@@ -1,15 +1,7 @@
 """Measures of how dangerous a run was for the ego. Every measure is a function of a Trace.
 
-Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC. A scalar is the worst value of its array.
-Minima are over every physics tick (15 a second by default), which is finer than the paper's six a second. The docstring
-of each measure states its unit and whether lower or higher values are worse. NaN in a trace results in NaN, never in a
-harmless number.
-
-An NPC that crosses is not on the ego's way until it has merged. Until then, distances along and across the ego's way
-are NaN for it, measures within one lane are 0, and extremes ignore it. Measures in the plane treat it like any other
-NPC.
-
-The geometry that measures share is computed only once if they are called for one run after the other.
+Arrays have the shape [ticks + 1, NPCs]. NaN in a trace results in NaN. While a crossing NPC is not on the ego's path,
+distances along and across that path are NaN.
 """
 
 from pytest_pafot.support import compiled

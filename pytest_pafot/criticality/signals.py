@@ -1,13 +1,10 @@
-"""Signals of a run, which have one value per tick, the table of all measures, and the passages of NPCs that cross.
+"""The signals of a run, the table of all measures, and the passages of crossing NPCs."""
 
-A passage is what ego and NPC do in the zone where their ways meet: when each is in it, how narrowly they pass, and
-whether the NPC came as it was asked to. The beginning and end of a zone are those of :class:`~pytest_pafot.Zone`. A
-vehicle is in a zone as long as its box could touch the box of a vehicle on the other way.
-
-Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667, 1978,
-for post-encroachment time; Laureshyn, Svensson, Hyden, "Evaluation of traffic safety, based on micro-level behavioural
-data", Accident Analysis and Prevention 42, 2010, for time advantage, which is the predicted post-encroachment time.
-"""
+# A vehicle is in a zone as long as its box could touch the box of a vehicle on the other path.
+#
+# Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667,
+# 1978, for post-encroachment time; Laureshyn, Svensson, Hyden, "Evaluation of traffic safety, based on micro-level
+# behavioural data", Accident Analysis and Prevention 42, 2010, for time advantage, which predicts that time.
 
 from __future__ import annotations
 
@@ -24,19 +21,18 @@ from pytest_pafot.criticality.measures import Encounters, encounters_of, gap, lo
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Trace
 
-ROUNDING = 1e-6
-"""The tolerance for the rounding of a time in ticks."""
+ROUNDING = 1e-6  # tolerance for the rounding of a time in ticks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passage:
-    """The times at which the ego and an NPC were in the zone where their ways meet.
+    """The times at which the ego and an NPC were in the zone where their paths cross.
 
     Attributes:
-        npc: its index.
-        zone: zone where the two ways meet.
-        ego_enters, npc_enters: time of its first tick in the zone [s]; inf if it never was there.
-        ego_leaves, npc_leaves: time of its first tick after it [s]; inf if it did not leave.
+        npc: index of the NPC.
+        zone: zone where the two paths cross.
+        ego_enters, npc_enters: time of the first tick in the zone [s]; inf without one.
+        ego_leaves, npc_leaves: time of the first tick after the zone [s]; inf without one.
     """
 
     npc: int
@@ -48,65 +44,60 @@ class Passage:
 
     @property
     def post_encroachment_time(self) -> float:
-        """The time between the first vehicle's exit from the zone and the second one's entry [s]; lower is worse.
-
-        0 if both were in the zone at the same time, inf if one of them never arrived.
-        """
+        """The time between one vehicle's exit from the zone and the other's entry [s]; lower is worse."""
         if math.inf in (self.ego_enters, self.npc_enters):
-            return math.inf
+            return math.inf  # one of them never arrived
+        # It is 0 if both were in the zone together.
         return max(self.npc_enters - self.ego_leaves, self.ego_enters - self.npc_leaves, 0.0)
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return for each NPC the passage of the zone where its way meets the ego's; None if it does not cross.
-
-    None, too, if a user's world records zones but not the vehicles' positions on their ways.
-    """
-    zones = trace.zones if _has_places(trace) else ()
+    """Return each NPC's passage of the zone where its path crosses the ego's path, or None."""
+    # A user's world may record zones without the positions of the vehicles on their paths.
+    zones = trace.zones if _has_positions(trace) else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
-    """Return the post-encroachment time that would result if ego and NPC kept their speeds [s]; lower is worse.
+    """Return the post-encroachment time that would result if ego and NPC kept their speeds [s].
 
-    Shape [ticks + 1, NPCs]. 0 if both would be in the zone at the same time. Infinite if one of them would never reach
-    the zone, and for an NPC that does not cross. After a vehicle has entered or left the zone, the actual time is used.
+    It is infinite if one of them would never arrive, or the NPC does not cross.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
         if zone is None:
             continue
-        if not _has_places(trace):
+        if not _has_positions(trace):
             advantage[:, npc] = np.nan
             continue
         ego, other = (
             [_seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz) for place in stretch]
-            for vehicle, along, stretch in _ways(trace, npc, zone)
+            for vehicle, along, stretch in _paths_to_zone(trace, npc, zone)
         )
         with np.errstate(invalid="ignore"):  # inf - inf, if both never arrive
             gap = np.maximum(other[0] - ego[1], ego[0] - other[1])
+        # If both would be in the zone together, the advantage is 0.
         is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
         advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
     return advantage
 
 
 def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]:
-    """Return when the ego would have been in the zone of an NPC at its speed of a tick, and when the NPC was [s].
-
-    Both are the times of entering and leaving. What the NPC had not reached at the end of the run is at its speed then.
-    """
+    """Return when the ego and an NPC were expected in their zone [s]."""
+    # Both are times of entry and exit. For the ego they follow from its speed at the tick, for the NPC from the run.
+    # What the NPC had not reached at the end of the run follows from its last speed.
     zone: Any = trace.zones[npc]
     hz = trace.physics_hz
     ego_enters, ego_leaves, enters, leaves = (
         at / hz + float(_seconds_to(place, along, trace.states[:, vehicle, SPEED], hz)[at])
-        for at, (vehicle, along, stretch) in zip((tick, trace.ticks), _ways(trace, npc, zone), strict=True)
+        for at, (vehicle, along, stretch) in zip((tick, trace.ticks), _paths_to_zone(trace, npc, zone), strict=True)
         for place in stretch
     )
     return (ego_enters, ego_leaves), (enters, leaves)
 
 
-def _has_places(trace: Trace) -> bool:
-    """Return whether a run has the places of all vehicles on the ways for which its zones are."""
+def _has_positions(trace: Trace) -> bool:
+    # Whether the run has the positions of all vehicles on the paths of its zones.
     return trace.on_way is not None and not trace.road.is_straight
 
 
@@ -115,7 +106,7 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
         return None
     enters_and_leaves = [
         [_first_at(place, along) / trace.physics_hz for place in stretch]
-        for _, along, stretch in _ways(trace, npc, zone)
+        for _, along, stretch in _paths_to_zone(trace, npc, zone)
     ]
     (ego_enters, ego_leaves), (npc_enters, npc_leaves) = enters_and_leaves
     return Passage(
@@ -123,14 +114,14 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
     )
 
 
-def _ways(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
-    """Return for the ego and for an NPC: vehicle index, positions along its way [m], and its stretch of the zone."""
+def _paths_to_zone(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
+    # For the ego and the NPC: the index of the vehicle, its positions along its path [m], and its section of the zone.
     on_way: Any = trace.on_way
     return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:
-    """Return the first tick at which a vehicle had reached a place [m]; inf if never, NaN if a position is unknown."""
+    # The first tick at which a vehicle had reached a position [m]; inf if never, NaN if a position is unknown.
     if np.isnan(along).any():
         return math.nan
     ticks = np.flatnonzero(along >= place)
@@ -138,76 +129,62 @@ def _first_at(place: float, along: FloatArray) -> float:
 
 
 def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -> FloatArray:
-    """Return, for each tick, the seconds until a vehicle reaches a place at its present speed.
-
-    From the tick at which the vehicle reaches the place on, they are 0 or negative and count the time since then.
-    """
+    # The seconds until a vehicle reaches a position at its present speed, at each tick.
     ticks = np.arange(len(along))
     is_moving = speed > 0
     ahead: FloatArray = np.where(is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf)
+    # After the vehicle has reached the position, the time is 0 or negative.
     first = _first_at(place, along)
     return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)
 
 
-SLOT = 0.3
-"""The tolerance of a slot [s]."""
+SLOT = 0.3  # tolerance of a slot [s]
+# An NPC adapts to the ego's arrival until this time before its entry [s], and slows down to this fraction of its speed
+# at most, as in world/kernel/crossing.py.
 ADAPTING_UNTIL, WAITING = 3.0, 0.5
-"""The time before its entry into the zone until which an NPC adapts to the ego's arrival [s], and the smallest share of
-its speed to which it slows down for that; both are those of ``world/kernel/crossing.py``."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What an NPC that crosses was asked for.
+class SlotRequest:
+    """A slot that was requested from a crossing NPC."""
 
-    Attributes:
-        npc: index of the NPC.
-        what: ``slot``; or ``zone`` if it did not come to its zone.
-        asked: the slot that was asked [s]; NaN if it did not come.
-        was: what it was [s]; NaN if it did not come.
-    """
-
-    npc: int
-    what: str
-    asked: float = math.nan
-    was: float = math.nan
+    npc: int  # index of the NPC
+    what: str  # "slot", or "zone" if the NPC did not reach its zone; then both times are NaN
+    asked: float = math.nan  # the requested slot [s]
+    was: float = math.nan  # the slot in the run [s]
 
     @property
     def is_met(self) -> bool:
-        """True if it was as asked."""
         return abs(self.was - self.asked) <= SLOT
 
     @property
-    def words(self) -> str:
-        """The words for it: ``slot asked 0.5 s, was 0.6 s``."""
+    def description(self) -> str:
         if self.what == "zone":
-            return "the NPC did not come to its zone"
-        return f"slot asked {self.asked:g} s, was {self.was:.1f} s"
+            return "the NPC did not reach its zone"
+        return f"slot requested: {self.asked:g} s, actual: {self.was:.1f} s"
 
 
-def asked(trace: Trace) -> tuple[Asked, ...]:
-    """Return what the crossing NPCs of a run were asked for; empty without them."""
-    found: list[Asked] = []
+def slot_requests(trace: Trace) -> tuple[SlotRequest, ...]:
+    """Return the slots that were requested from the crossing NPCs of a run."""
+    found: list[SlotRequest] = []
     for npc, instruction in enumerate(trace.scenario.crossings):
         if instruction is not None and instruction.act == "pass":
-            found += _of_crossing(trace, npc, instruction.slot)
+            found += _evaluate_slot(trace, npc, instruction.slot)
     return tuple(found)
 
 
-def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
-    """Yield the slot of an NPC, at the ego's speed when the NPC no longer adapted to the ego.
-
-    An ego may answer in two ways that leave no slot to judge. It may wait for the NPC, which does not become slow
-    enough to come after it. Or it may slow down in the zone, so that the NPC waits for it.
-    """
+def _evaluate_slot(trace: Trace, npc: int, slot: float) -> Iterator[SlotRequest]:
+    # Yields the slot of an NPC, or nothing if the reaction of the ego leaves no slot to evaluate.
     passage = passages(trace)[npc]
     if passage is None:
         return
     if passage.npc_enters == math.inf:
         is_broken_off = trace.collision is not None or trace.error is not None or trace.off_road_tick == trace.ticks
         if not is_broken_off:
-            yield Asked(npc, "zone")
+            yield SlotRequest(npc, "zone")
         return
+    # The slot is measured at the ego's speed when the NPC stopped adapting. An ego may have waited for the NPC, which
+    # does not become slow enough to come after it. Or it may have slowed down in the zone, so that the NPC waited.
     until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0)
     if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
         return
@@ -218,48 +195,34 @@ def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
     has_left = passage.ego_leaves < math.inf  # else, as after a collision, it would have left at its last speed
     left = passage.ego_leaves if has_left else times_expected(trace, npc, trace.ticks)[0][1]
     if was - slot <= SLOT or left <= ego_leaves + SLOT:
-        yield Asked(npc, "slot", slot, was)
+        yield SlotRequest(npc, "slot", slot, was)
 
 
+# Which values of a measure are worse for the ego: low values, high values, values far from 0, or neither.
 Worse = Literal["low", "high", "both", "neither"]
-"""Which values of a measure are worse for the ego: low values, high values, values far from 0, or neither."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure of the ego or of each NPC at each tick of a run; a call with a trace returns a fitness.
+    """A measure of the ego or of each NPC at each tick of a run. A call with a trace returns a fitness."""
 
-    Attributes:
-        name: such as ``headway`` or ``ego.jerk``; of a measure of each NPC such as ``npcs.ttc``.
-        unit: such as ``m/s^3``; empty for a number.
-        worse: values that are worse for the ego: ``low``, ``high``, ``both`` (far from 0) or ``neither``.
-        source: definition and publication.
-        function: of a trace, returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of each NPC.
-    """
-
-    name: str
-    unit: str
+    name: str  # such as `ego.jerk`, or `npcs.ttc` for each NPC
+    unit: str  # such as `m/s^3`; empty for a number
     worse: Worse
-    source: str
-    function: Callable[[Trace], FloatArray]
+    source: str  # definition and publication
+    function: Callable[[Trace], FloatArray]  # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
 
     def __call__(self, trace: Trace) -> float:
-        """Return the measure as a fitness between -1 and 1, which is higher if the run is worse for the ego.
-
-        It is v / (1 + |v|), where v is the worst value, with its sign changed if low values are worse. No measure
-        without a worse side is a fitness.
-        """
+        """Return the measure as a fitness between -1 and 1."""
+        # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure without a worse
+        # side is no fitness.
         risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.function(trace))
         worst = float(risk.max(initial=-np.inf))
         return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
-    """Return the index of the leader at each tick, the nearest NPC ahead in the ego's lane; -1 if there is none.
-
-    The centres of the vehicles determine the lane and the distance. The shape is [ticks + 1]. An NPC that crosses can
-    be the leader only after it has merged into the ego's way.
-    """
+    """Return the index of the nearest NPC ahead in the ego's lane at each tick, or -1; shape [ticks + 1]."""
     encounters = encounters_of(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
@@ -268,35 +231,25 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
 
 
 def headway(trace: Trace) -> FloatArray:
-    """Return the time that the ego needs to reach the rear of its :func:`leader` [s], shape [ticks + 1].
-
-    It is the gap between the boxes along the lane, divided by the ego's speed; inf without a leader or if the ego
-    stands.
-    """
+    """Return the time until the ego reaches the rear of its :func:`leader` [s], shape [ticks + 1]."""
     ahead, speed = leader(trace), trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
-    seconds = np.full(len(ahead), np.inf)
+    seconds = np.full(len(ahead), np.inf)  # without a leader, or while the ego is stationary
     seconds[moves] = longitudinal_gap(trace)[moves, ahead[moves]] / speed[moves]
     return seconds
 
 
 def jerk(trace: Trace) -> FloatArray:
-    """Return each vehicle's change of acceleration since the previous tick, per second [m/s^3].
-
-    The shape is [vehicles, ticks + 1]. The jerk is 0 at the first tick. The acceleration is 0 at the first tick, too,
-    so a vehicle that brakes from the start has a jerk at the second tick.
-    """
+    """Return each vehicle's change of acceleration per second [m/s^3], shape [vehicles, ticks + 1]."""
     acceleration = trace.states[:, :, ACCELERATION].T
+    # The acceleration is 0 at the first tick, so a vehicle that brakes from the start has a jerk at the second tick.
     return np.diff(acceleration, prepend=acceleration[:, :1]) * trace.physics_hz
 
 
 def lateral_acceleration(trace: Trace) -> FloatArray:
-    """Return each vehicle's speed times the turning rate of its heading [m/s^2], shape [vehicles, ticks + 1].
-
-    The turning rate is the change since the previous tick, positive to the right, 0 at the first tick. This is the
-    acceleration that pulls a passenger sideways in a steady turn. It ignores the slip of the vehicle, which jumps with
-    the steering angle in a kinematic model.
-    """
+    """Return each vehicle's speed times its turning rate [m/s^2], shape [vehicles, ticks + 1]."""
+    # This is the acceleration that pulls a passenger sideways in a steady turn. It ignores the slip, which jumps with
+    # the steering angle in a kinematic model.
     heading = np.unwrap(trace.states[:, :, HEADING].T)
     turning: FloatArray = np.diff(heading, prepend=heading[:, :1]) * trace.physics_hz
     return turning * trace.states[:, :, SPEED].T
@@ -304,14 +257,14 @@ def lateral_acceleration(trace: Trace) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EgoLaneChange:
-    """A lane change of the ego, which is when its centre enters a different lane.
+    """A lane change of the ego, which is when its centre enters another lane.
 
     Attributes:
         tick: first tick in the new lane.
-        time: its time [s].
-        from_lane, to_lane: their indices.
-        gap_ahead, gap_behind: along the road to the nearest NPC with its centre in the new lane [m]; 0 side by side,
-            inf if there is none.
+        time: time of this tick [s].
+        from_lane, to_lane: indices of the old and the new lane.
+        gap_ahead, gap_behind: gap along the road to the nearest NPC in the new lane [m]; 0 side by side, inf without
+            one.
     """
 
     tick: int
@@ -323,7 +276,7 @@ class EgoLaneChange:
 
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
-    """Return the ego's lane changes in the order of their times; ticks at which the ego is off the road are ignored."""
+    """Return the ego's lane changes in their order, without ticks at which the ego is off the road."""
     lane = trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
     changed = np.flatnonzero(np.diff(lane[on_road]))
@@ -350,13 +303,11 @@ def _recorded(vehicles: int | slice, column: int, trace: Trace) -> FloatArray:
 
 
 def _ego(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
-    """Return the ego's row of a measure of all vehicles."""
-    values: FloatArray = function(trace)[0]
+    values: FloatArray = function(trace)[0]  # the ego is the first vehicle
     return values
 
 
 def _npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
-    """Return a measure of the shape [ticks + 1, NPCs] with a row for each NPC."""
     return function(trace).T
 
 
@@ -369,47 +320,44 @@ def _right(trace: Trace) -> FloatArray:
 
 
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
-_TURNING = "speed times turning rate since the tick before, positive to the right"
-_JERK = "change of the acceleration since the tick before, per second"
-_LANE = "index of that of its centre, on a straight road from 0 at the left; -1 off the road"
+_TURNING = "speed times turning rate since the previous tick, positive to the right"
+_JERK = "change of the acceleration since the previous tick, per second"
+_LANE = "index of the lane of the centre, from 0 at the left of a straight road; -1 off the road"
 _ROAD = "along the road, between the centres"
 
-# Partial functions of named functions, because lambdas cannot be sent to other processes.
+# This table defines the attributes of a run, the measures that `fitness=` accepts, the columns of `run.to_pandas()`,
+# and a table of the reference. It has partial functions, because lambdas cannot be sent to other processes.
 MEASURES = (
     Measure("ego.speed", "m/s", "high", "as recorded", partial(_of_ego, SPEED)),
-    Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative in braking", partial(_of_ego, ACCELERATION)),
+    Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative during braking", partial(_of_ego, ACCELERATION)),
     Measure("ego.jerk", "m/s^3", "both", _JERK, partial(_ego, jerk)),
     Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_ego, lateral_acceleration)),
     Measure("ego.lane", "", "neither", _LANE, partial(_of_ego, LANE)),
     Measure("headway", "s", "low", "gap to the leader, divided by the ego's speed; inf without a leader, or if the "
-            "ego stands", headway),
+            "ego is stationary", headway),
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, SPEED)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, ACCELERATION)),
     Measure("npcs.lane", "", "neither", _LANE, partial(_of_npcs, LANE)),
-    Measure("npcs.ahead", "m", "neither", f"ahead of the ego {_ROAD}; negative behind, NaN while it crosses",
-            _ahead),
-    Measure("npcs.right", "m", "neither", "right of the ego across the road, between the centres; NaN while it "
-            "crosses", _right),
-    Measure("npcs.gap", "m", "low", "between the NPC's box and the ego's",
+    Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while "
+            "the NPC crosses", _ahead),
+    Measure("npcs.right", "m", "neither", "lateral distance of the NPC's centre to the right of the ego's; "
+            "NaN while the NPC crosses", _right),
+    Measure("npcs.gap", "m", "low", "gap between the boxes of the NPC and the ego",
             partial(_npcs, gap)),
     Measure("npcs.ttc", "s", "low", "time to contact of the boxes at constant velocity, or inf (Hayward 1972)",
             partial(_npcs, ttc)),
-    Measure("npcs.time_advantage", "s", "low", "from the exit of ego or NPC from their zone to the entry of the "
-            "other, if both keep their speed; 0 if both would be there at once, inf if one would never arrive "
+    Measure("npcs.time_advantage", "s", "low", "time from one vehicle's exit from the zone to the other's entry, at "
+            "their present speeds; 0 if both would be in it together, inf if one would never arrive "
             "(Laureshyn and others 2010)",
             partial(_npcs, time_advantage)),
 )  # fmt: skip
-"""The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.
-
-This table defines the attributes of a run, the measures that a search accepts as a fitness by name, the columns of
-``run.to_pandas()``, and the page of the reference.
-"""
+"""The measures of every run, named like the attributes of a run."""
 
 BY_NAME = {measure.name: measure for measure in MEASURES}
 
 
 class Signals:
-    """The signals of one run; each function of its trace is called only once."""
+    """The signals of one run."""
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
@@ -419,35 +367,32 @@ class Signals:
         """Return the read-only values of a function of the trace, one value per tick.
 
         Args:
-            function: returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of each NPC.
-            npc: index of the NPC if the function has one value for each NPC.
+            function: returns an array of shape [ticks + 1], or [NPCs, ticks + 1].
+            npc: index of the NPC for the second shape.
 
         Raises:
-            ValueError: if the function returns an array of a different shape, or if ``npc`` is missing, or is given
-                for a function that has no row for each NPC.
+            ValueError: for another shape or ``npc``.
         """
-        values = self._values.get(function)
+        values = self._values.get(function)  # each function of the trace is called only once
         if values is None:
             values = np.array(function(self.trace), dtype=np.float64)
             rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
-                    f"signal {_named(function)}: expected one value a tick, shape ({rows},), or of each NPC, "
-                    f"({npcs}, {rows}), received shape {values.shape}"
+                    f"signal {_name_of(function)}: expected one value per tick, shape ({rows},), or one per NPC and "
+                    f"tick, shape ({npcs}, {rows}), but received the shape {values.shape}"
                 )
             values.flags.writeable = False
             self._values[function] = values
         if (values.ndim == 2) is (npc is None):
-            wanted = "npc=0 and so on, because it has a row for each NPC" if npc is None else "no npc="
-            raise ValueError(f"signal {_named(function)}: expected {wanted}, received npc={npc}")
+            wanted = "npc=0 or another index, because it has a row for each NPC" if npc is None else "no npc="
+            raise ValueError(f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}")
         return values if npc is None else values[npc]
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
-        """Yield the name and the values of all measures: one of the ego, and one per NPC for a measure of each NPC.
-
-        The time advantage is defined only for NPCs that cross, so the others have no such signal.
-        """
+        # Yields the name and the values of each measure, with `npcs[0].ttc` and so on for a measure of each NPC.
         npcs = range(self.trace.states.shape[1] - 1)
+        # The time advantage is defined only for NPCs that cross.
         crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
             vehicle, _, name = measure.name.partition(".")
@@ -459,22 +404,18 @@ class Signals:
 
     @property
     def ego(self) -> EgoSignals:
-        """The signals of the ego."""
         return EgoSignals(self)
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        """The signals of each NPC."""
         return tuple(NpcSignals(self, npc) for npc in range(self.trace.states.shape[1] - 1))
 
 
-def _named(function: object) -> str:
+def _name_of(function: object) -> str:
     return repr(getattr(function, "__name__", function))
 
 
 class _Vehicle:
-    """A vehicle whose attributes are its measures."""
-
     _of: str
 
     def __init__(self, signals: Signals, npc: int | None = None) -> None:
@@ -520,11 +461,11 @@ class NpcSignals(_Vehicle):
 
     @property
     def zone(self) -> Zone | None:
-        """The zone where the NPC's way meets the ego's; None for an NPC that does not cross."""
+        """The zone where the NPC's path crosses the ego's path, or None."""
         zones = self._signals.trace.zones
         return zones[self._npc or 0] if zones else None
 
     @property
     def passage(self) -> Passage | None:
-        """The times at which the NPC and the ego were in the zone of their ways; None if it does not cross."""
+        """The times of the NPC and the ego in their zone, or None."""
         return passages(self._signals.trace)[self._npc or 0]

@@ -1,15 +1,14 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
 # The checks are off because no index exceeds the shapes that `extremes` checks and no divisor is zero.
-"""One pass over the ticks of a run for the three extremes that a search reads of every run, in typed, plain Python.
+"""One pass over the ticks of a run for the three extremes that a search needs."""
 
-The values equal those of numpy's arrays in :mod:`~pytest_pafot.criticality.measures` to the last bit, because the pass
-does the same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass
-takes a tenth of the time of numpy's whole arrays. The interpreted pass would be slower than numpy's arrays, so an
-installation without compiled code uses the arrays.
-
-The bounds need no trigonometry: a sine is at most its angle h and differs from it by at most h^3 / 6, and a cosine is
-between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the sizes and times that are accepted.
-"""
+# The values equal those of numpy's arrays in criticality/measures.py to the last bit, because the pass does the same
+# operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass takes a
+# tenth of the time of numpy's arrays. The interpreted pass would take longer, so without compiled code the arrays are
+# used.
+#
+# The bounds need no trigonometry: a sine is at most its angle h and differs from it by at most h^3 / 6, and a cosine is
+# between 1 - h^2 / 2 and 1.
 
 from __future__ import annotations
 
@@ -20,21 +19,16 @@ import numpy as np
 
 from pytest_pafot.model.trace import FloatArray
 
-SLACK = 1e-6
-"""The margin that is added to the bounds, so that rounding never makes them skip a tick that is extreme [m]."""
+SLACK = 1e-6  # The margin of the bounds [m]. It is far more than all rounding, so no tick that is extreme is skipped.
+# The limit of the sum of the absolute values of a vehicle's state. For a larger sum or NaN, numpy's arrays are used.
 LARGE = 1e6
-"""The limit for the sum of the absolute values of a vehicle's state. For a larger sum or NaN, numpy's arrays replace
-this pass."""
-LONGEST = 1e5
-"""The limit for the least time to contact [s]. If it is longer or infinite, numpy's arrays replace this pass."""
-UNENDING = math.inf
-"""Infinity; unlike ``math.inf``, it is a C number in compiled code."""
-TINY = 1e-290
-"""A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.measures`."""
+LONGEST = 1e5  # The limit of the smallest time to contact [s]. If it is longer or infinite, numpy's arrays are used.
+UNENDING = math.inf  # infinity as a C number; `math.inf` would be a Python object in compiled code
+TINY = 1e-290  # avoids a division by zero [m/s], as in criticality/measures.py
 
 
 def is_in_use() -> bool:
-    """Return whether the compiled pass replaces numpy's arrays, which it does only if both give the same results."""
+    """Return whether the compiled pass gives the same results as numpy's arrays."""
     if __file__.endswith(".py"):  # it runs interpreted
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
@@ -47,20 +41,14 @@ def is_in_use() -> bool:
 def extremes(
     states: FloatArray, sizes: FloatArray, road: tuple[float, float], manoeuvre_seconds: float
 ) -> tuple[float, float, float] | None:
-    """Return the least time to contact, the least gap and the largest safety shortfall of a run.
+    """Return the smallest time to contact, the smallest gap and the largest safety shortfall of a run.
 
-    None if the caller has to use numpy's arrays.
-
-    Args:
-        states: states of a trace, shape [ticks + 1, vehicles, 7].
-        sizes: sizes of a trace, shape [vehicles, 2].
-        road: cosine and sine of the road's heading.
-        manoeuvre_seconds: time to manoeuvre, t in the equation of the safety distance [s].
+    None means that the caller must use numpy's arrays. ``road`` is the cosine and sine of the road's heading.
     """
     if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
         raise ValueError(
-            f"states, sizes: expected the shapes [ticks + 1, vehicles, 7] and [vehicles, 2], received "
-            f"{states.shape} and {sizes.shape}; give those of a trace"
+            f"states, sizes: expected the shapes [ticks + 1, vehicles, 7] and [vehicles, 2], but received "
+            f"{states.shape} and {sizes.shape}. Pass the states and sizes of a trace."
         )
     return _swept(states, sizes, road[0], road[1], manoeuvre_seconds)
 
@@ -156,7 +144,7 @@ def _swept(
 
 
 def _cut(begins: float, ends: float, offset: float, reach: float, velocity: float) -> tuple[float, float]:
-    """Restrict a time of contact to the time in which the boxes overlap along one axis."""
+    # Restrict an interval of contact to the time in which the boxes overlap along one axis.
     distance = abs(offset)
     parting = math.copysign(1.0, offset) * velocity + TINY
     near, far = (reach - distance) / parting, -(reach + distance) / parting
@@ -174,11 +162,9 @@ def _corners_to_box(
     half_length: float,
     half_width: float,
 ) -> float:
-    """Return the squared distance from the nearest corner of one box to another box [m^2].
-
-    ``(u, v)`` is the centre of the first box in the frame of the second box, which is centred at the origin and has the
-    half sizes ``half_length`` and ``half_width``. The other arguments are the half sides of the first box as vectors.
-    """
+    # The result is the squared distance from the nearest corner of one box to another box [m^2].
+    # (u, v) is the centre of the first box in the frame of the second box, which is centred at the origin and has the
+    # half sizes half_length and half_width. The other arguments are the half sides of the first box as vectors.
     nearest = UNENDING
     for corner in range(4):
         along, across = 1.0 if corner < 2 else -1.0, 1.0 if corner % 2 == 0 else -1.0

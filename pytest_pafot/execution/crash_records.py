@@ -1,11 +1,7 @@
-"""Crash records: each scenario is on disk before it runs, so that a crash of the whole process can be explained.
+"""Crash records, which name the scenario in which a process died.
 
-Each process writes its own file and locks it. The system releases the lock when the process ends, however it ends, so a
-file without a lock was left by a process that died. Process ids do not suffice to detect that, because in containers
-each session may have the same process id.
-
-The records of a project are among the system's temporary files, in a folder in which only this user can write, and no
-repository can place files. So each is by a session of this user on this machine.
+Each process writes the scenario to its own file before it runs it, and locks the file. The system releases the lock
+when the process ends, so a file without a lock belongs to a dead process.
 """
 
 from __future__ import annotations
@@ -33,7 +29,8 @@ MAX_BYTES = 1 << 20
 
 
 def records_of(root: Path) -> Path:
-    """Return the folder for the crash records of the project in a folder, which need not exist yet."""
+    """Return the folder for the crash records of a project. The folder can be missing."""
+    # Temporary files, because a repository could contain records, and nobody else can write into this folder.
     # On Windows each user has their own folder for temporary files.
     own = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
     name = hashlib.blake2b(os.fsencode(os.path.realpath(root)), digest_size=8).hexdigest()
@@ -41,36 +38,34 @@ def records_of(root: Path) -> Path:
 
 
 class CrashRecordError(Exception):
-    """Error for a folder of crash records that cannot be read or written.
+    """An error for a folder of crash records that cannot be read or written.
 
-    The search goes on, but a crash of the process cannot be explained.
+    The search continues without records.
     """
 
     def __init__(self, folder: Path, error: OSError) -> None:
         advice = way_out(error, "or set TMPDIR to another one")
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            advice = "close the files that the ADS and the tests open"
+            advice = "close the files that the ADS and the tests have opened"
         elif error.errno == errno.EPERM:
-            advice = "delete that, or set TMPDIR to a folder for temporary files that belongs to you"
+            advice = "delete that folder, or set TMPDIR to a folder that belongs to you"
         super().__init__(
-            f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
-            f"crash of this process will not name the scenario that caused it; {advice}"
+            f"{folder}: expected a folder that can be read and written, received this error: "
+            f"{error.strerror or error}. If this process crashes, no record will name the scenario; {advice}"
         )
 
 
 class CrashRecord:
-    """A process's record of the scenario that it runs now; errors are stored in ``error`` and never raised."""
+    """The record of the scenario that a process is running. Errors are stored in ``error``."""
 
     def __init__(
         self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None, is_watched: bool = False
     ) -> None:
-        """Prepare a record in the folder of all records, which is created if it is missing.
+        """Prepare a record. Its file is created for the first scenario, so the record can be sent to another process.
 
-        The record can be sent to a different process, because its file is created only for the first scenario.
-        ``is_watched`` says that a session notices the end of that process.
+        ``is_watched`` is True if a session notices the end of the process.
         """
-        self.error: CrashRecordError | None = None
-        """The error because of which nothing can be recorded, or None; the search reports it once."""
+        self.error: CrashRecordError | None = None  # the error that prevents records, or None
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder
@@ -79,10 +74,9 @@ class CrashRecord:
         self._is_watched = is_watched
 
     def write(self, scenario: Scenario, *, reference: str = "") -> None:
-        """Write the scenario that is about to run to disk.
+        """Record that a scenario is about to run.
 
-        If the process then crashes, the scenario is the cause. ``reference`` is the name of a policy that drives
-        instead of the ADS, or empty.
+        ``reference`` is the name of the policy that drives instead of the ADS, or empty.
         """
         process = f'"owner": {self._owner}, "pid": {getpid()}, "world": {self._world}'
         if reference:
@@ -92,12 +86,10 @@ class CrashRecord:
         self._put(f'{{{process}, "scenario": {scenario.canonical()}}}'.encode())
 
     def clear(self) -> None:
-        """Record that no scenario is running."""
         if self._descriptor is not None:
             self._put(b"")
 
     def close(self) -> None:
-        """Remove the record; a later :meth:`write` starts a new one."""
         if self._descriptor is None:
             return
         descriptor, self._descriptor = self._descriptor, None
@@ -120,6 +112,7 @@ class CrashRecord:
             if self._descriptor is None:
                 self._descriptor, self._path = _create(self._folder)
             os.lseek(self._descriptor, 0, os.SEEK_SET)
+            # Not synchronised with the disk: the record must survive the end of the process, not of the machine.
             os.write(self._descriptor, record + b"\n")  # only the first line counts: the rest of an old record may stay
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
@@ -132,6 +125,7 @@ def _create(folder: Path) -> tuple[int, Path]:
         with suppress(FileNotFoundError):  # another session has removed the folder, which was empty
             _refuse_folder_of_others(folder)
             descriptor, name = tempfile.mkstemp(prefix=f"{getpid()}-", suffix=SUFFIX, dir=folder)
+            # Between the creation and the lock, another session may have taken the file for that of a dead process.
             if hold(descriptor):
                 return descriptor, Path(name)
             os.close(descriptor)
@@ -139,46 +133,32 @@ def _create(folder: Path) -> tuple[int, Path]:
 
 
 def _refuse_folder_of_others(folder: Path) -> None:
-    """Refuse a folder that other users could have made or could write in, since anybody can make one in /tmp."""
     for each in (folder.parent, folder):
         status = each.lstat()
         is_of_others = sys.platform != "win32" and (status.st_uid != os.getuid() or status.st_mode & 0o022 != 0)
         if is_of_others or not stat.S_ISDIR(status.st_mode):
-            raise PermissionError(errno.EPERM, f"others may write there: {each}")
+            raise PermissionError(errno.EPERM, f"other users can write to {each}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leftover:
-    """The record of a process that died.
-
-    Attributes:
-        path: the path of the record.
-        pid: the id of the process.
-        owner: the node id of the test; empty if the record cannot be read.
-        scenario: the scenario that was running; None if the record cannot be read.
-        world: the world in which it ran, as plain data, or None.
-        reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
-        is_watched: True if a session would have noticed that the process died, so it died together with that session.
-    """
+    """The record of a process that died."""
 
     path: Path
     pid: int
-    owner: str = ""
-    scenario: Scenario | None = None
-    world: Mapping[str, Any] | None = None
-    reference: str = ""
-    is_watched: bool = False
+    owner: str = ""  # the node id of the test; empty if the record cannot be read
+    scenario: Scenario | None = None  # None if the record cannot be read
+    world: Mapping[str, Any] | None = None  # as JSON-compatible data
+    reference: str = ""  # the name of the policy that drove instead of the ADS; empty if the ADS drove
+    is_watched: bool = False  # a session would have noticed the death, so it died together with its session
 
     def discard(self) -> None:
-        """Remove the record's file, if it still exists."""
         with suppress(OSError):  # if it cannot be removed, it is only reported again
             self.path.unlink(missing_ok=True)
 
 
 def leftovers(folder: Path) -> tuple[Leftover, ...]:
-    """Return the records of processes that died, sorted by file name.
-
-    Records of processes that ended between two scenarios are removed. A missing folder has no records.
+    """Return the records of dead processes, sorted by file name.
 
     Raises:
         CrashRecordError: if the folder cannot be read.
@@ -194,10 +174,7 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """Return the records of processes that died in the test ``owner``.
-
-    The list is empty if the folder cannot be read. Writing a record there then fails as well, and reports the reason.
-    """
+    """Return the records of processes that died in a test, or an empty list if they cannot be read."""
     try:
         return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
     except CrashRecordError:

@@ -1,10 +1,7 @@
-"""Runs on the workers of a Dask scheduler, on any number of machines.
+"""Runs on the workers of a Dask scheduler, which can be on other machines.
 
-A worker runs its scenarios in a child process, which it reuses. There are two reasons. A hanging decision can be
-interrupted only in a main thread, in which workers do not run tasks. And an ADS that ends its process must not end the
-worker. World and ADS are sent as bytes, only until the workers have them; code that workers cannot import is part of
-the bytes. A task is an object that runs when it is unpickled. So a scheduler, which only passes tasks on, does not need
-this package.
+Each worker runs scenarios in a child process. Only the main thread of a process can interrupt a decision that hangs,
+and Dask runs tasks in other threads. The child also protects the worker from an ADS that ends its process.
 """
 
 from __future__ import annotations
@@ -36,66 +33,56 @@ from pytest_pafot.world.guard.hang_guard import check_time
 OPTION = flag("dask")
 INSTALL = install("dask")
 
-POLL = 0.5
-"""The longest time to wait for an answer before the time of the search is checked [s]."""
-SOON = 5.0
-"""The time after which a session says that it waits for the first worker of a scheduler [s]."""
-IDLE = 60.0
-"""The time without a task after which the child process of a worker ends [s]."""
+POLL = 0.5  # interval for checks of the search's time limit [s]
+SOON = 5.0  # time to wait for a first worker before the user is informed [s]
+IDLE = 60.0  # time after which an idle child process ends [s]
 
 Task = Scenario | Whole
 
 
 @contextmanager
 def connected(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
-    """Provide a function that makes pools of the workers of a scheduler, which must answer within ``timeout`` [s].
+    """Connect to a scheduler, and provide a function that creates pools of its workers.
 
-    A scheduler may begin without workers, and start some when there is work. ``tell`` receives what is waited for if
-    none is there soon.
+    ``tell`` receives a message if the scheduler has no worker yet.
 
     Raises:
-        ExecutionError: if Dask is not installed, or the scheduler does not answer.
+        ExecutionError: if Dask is not installed, or the scheduler does not answer within ``timeout`` [s].
     """
     try:
         from distributed import Client  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package distributed, received none; {INSTALL}") from None
+        raise ExecutionError(f"{OPTION}: expected the package distributed, which is missing; {INSTALL}") from None
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
             try:
+                # A scheduler may have no worker yet, and start some only when there is work.
                 client.wait_for_workers(1, timeout=SOON)
             except TimeoutError:
                 tell(
-                    f"{flag('dask', address)}: the scheduler has no worker, so no scenario runs until one joins; start "
-                    f"one by `dask worker {address}`, or end this session by Ctrl-C"
+                    f"{flag('dask', address)}: the scheduler has no worker, so no scenario runs until one joins. Start "
+                    f"one with `dask worker {address}`, or end this session with Ctrl-C"
                 )
                 client.wait_for_workers(1)
         except Exception as error:  # noqa: BLE001  (any network error)
-            expected = "a scheduler that answers, with the packages of this session"
-            received = f"{type(error).__name__}: {error}"
+            expected = "a running scheduler with the same packages as this session"
+            received = f"this error: {type(error).__name__}: {error}"
             raise ExecutionError(f"{flag('dask', address)}: expected {expected}, received {received}") from None
         yield partial(DaskPool, client.get_executor())
 
 
 class DaskPool:
-    """A pool that runs scenarios on the workers of a cluster, as :class:`WorkerPool` does in processes.
-
-    A task that fails is tried once more. If a worker dies in it then, its answer is a ``ProcessLostError``. If the
-    connection to the workers fails then, or the scheduler drops the task, the cluster is not used any more.
+    """A pool that runs scenarios on the workers of a cluster, like :class:`WorkerPool` in local processes.
 
     Raises:
-        ExecutionError: if world and ADS cannot be packed; :meth:`fetch` raises it if workers cannot run scenarios as
-            this process does, for example with other versions.
+        ExecutionError: if world and ADS cannot be pickled, or if workers cannot run scenarios like this process.
     """
 
     def __init__(self, executor: Executor, job: Job) -> None:
-        self.recovered: list[LostRun] = []
-        """The deaths of processes and workers in runs that succeeded in a second attempt."""
-        self.failure = ""
-        """The reason why the cluster cannot be used any more, so that tasks have no results; else empty."""
-        self.unable: list[Exception] = []
-        """The exceptions of workers for scenarios that this process has to run, such as an error of the factory."""
+        self.recovered: list[LostRun] = []  # deaths of processes in runs that succeeded in a second attempt
+        self.failure = ""  # why the cluster cannot be used any more, or empty
+        self.unable: list[Exception] = []  # exceptions of workers in runs that this process has to repeat
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # True if some worker has the content of the parcel
@@ -104,35 +91,34 @@ class DaskPool:
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the user on the workers, and on runs that they could not make."""
-        note = f"{OPTION}: workers made the runs"
+        note = f"{OPTION}: the workers of the cluster executed the runs"
         if self.unable:
             first = f"{type(self.unable[0]).__name__}: {self.unable[0]}"
-            note = f"{OPTION}: {len(self.unable)} runs were made in this process; a worker answered: {first}"
+            note = f"{OPTION}: a worker raised {first}, so this process executed {len(self.unable)} of the runs"
         if self.failure:
-            note = f"{OPTION}: this process ran the scenarios; the cluster failed: {self.failure}"
+            note = f"{OPTION}: this process ran the scenarios, because the cluster failed: {self.failure}"
         return [note, *(lost.recovery for lost in self.recovered)]
 
     def expect(self, tasks: Iterable[Task]) -> None:
-        """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
         self.close()
         self.add_all(tasks)
 
     def add_all(self, tasks: Iterable[Task]) -> None:
-        """Start to run some more scenarios."""
         for task in tasks:
             if task in self._under_way or self.failure:
                 continue
+            # The content is large, so it is sent only until a worker has it. A worker without it answers None.
             parcel = self._parcel if not self._is_known else replace(self._parcel, content=None)
             named: Any = {"key": f"pafot-{next(self._numbers)}-{self._parcel.digest}", "pure": False}
             try:
+                # The scheduler sees only bytes and pickle.loads, so it needs no pytest-pafot. Unpickling runs the task.
                 call = pickle.dumps(_Call(_run_task, parcel, task))
                 self._under_way[task] = self._executor.submit(pickle.loads, call, **named)
             except Exception as error:  # noqa: BLE001  (the client is closed; Dask's errors have no base)
                 self.failure = _named(error)
 
     def fetch(self, task: Task) -> Answer:
-        """Wait for the answer to a scenario and return it; each answer can be fetched once."""
+        """Wait for the answer to a scenario, which can be fetched once."""
         first: Exception | None = None
         while not self.failure:
             self.add_all([task])
@@ -141,6 +127,7 @@ class DaskPool:
             try:
                 done = _result(self._under_way.pop(task))
             except Exception as error:  # noqa: BLE001  (Dask's errors have no base)
+                # A task that fails is tried once more.
                 # Only the second error counts: Dask may raise any if a worker dies while its answer is read.
                 if first is None:
                     first = error
@@ -151,8 +138,8 @@ class DaskPool:
                 else:
                     received = f"{type(error).__name__}: {error}"
                     raise ExecutionError(
-                        f"{OPTION}: expected workers that can run scenarios, with the same packages as this session, "
-                        f"received {received}"
+                        f"{OPTION}: expected workers that can run scenarios, received {received}. Do they have the "
+                        "same packages as this session?"
                     ) from None
                 continue
             if isinstance(done, str):
@@ -167,14 +154,12 @@ class DaskPool:
         return RuntimeError(self.failure)
 
     def close(self, *, at_once: bool = False) -> None:
-        """Cancel the current tasks."""
         for future in self._under_way.values():
             future.cancel()
         self._under_way = {}
 
 
 def _result(future: Future[Any]) -> Any:
-    """Wait for the result of a task; raise its exception, or ``OutOfTime`` if the time of the search is over."""
     while True:
         check_time()
         try:
@@ -185,7 +170,7 @@ def _result(future: Future[Any]) -> Any:
 
 
 def _named(error: Exception) -> str:
-    text = str(error) or ("the tasks were dropped, as by a scheduler that ended" * isinstance(error, CancelledError))
+    text = str(error) or ("the scheduler dropped the tasks, or has ended" * isinstance(error, CancelledError))
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
@@ -199,7 +184,7 @@ def _lost(task: Task, error: Exception) -> LostRun:
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """Everything that workers need to run scenarios; parcels with the same digest are equal, even without content."""
+    """The data that workers need. Parcels with the same digest are equal, even without content."""
 
     digest: str
     content: bytes | None = field(compare=False)  # world, ADS factory and the function that reads from runs
@@ -214,11 +199,11 @@ def versions_here() -> dict[str, str]:
 
 
 def packed(job: Job) -> Parcel:
-    """Pack world and ADS of a job for workers on other machines, together with the modules of the user's project."""
+    """Pickle a job for other machines, together with the modules of the user's project."""
     try:
         import cloudpickle  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package cloudpickle, received none; {INSTALL}") from None
+        raise ExecutionError(f"{OPTION}: expected the package cloudpickle, which is missing; {INSTALL}") from None
     with ExitStack() as stack:
         # The loaded modules of the project, because other machines need not have them installed.
         for module in [each for each in list(sys.modules.values()) if _is_below(job.root, each)]:
@@ -228,8 +213,8 @@ def packed(job: Job) -> Parcel:
             content = cloudpickle.dumps(Job(world=job.world, policy=job.policy, records=Path(), owner=""))
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
-                f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received one "
-                f"that raises {type(error).__name__}: {error}; open what the ADS needs in the factory, not before"
+                f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received one that "
+                f"raises {type(error).__name__}: {error}. Open files and connections inside the factory, not before"
             ) from None
     digest = hashlib.sha256(content).hexdigest()[:16]
     return Parcel(digest, content, job.patience, versions_here(), job.closing)
@@ -244,7 +229,7 @@ def _is_below(root: Path, module: ModuleType) -> bool:
 
 
 class _Call:
-    """A call that is made when this object is unpickled; the result of the unpickling is the result of the call."""
+    """An object that is replaced by the result of a call when it is unpickled."""
 
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._call = function, arguments
@@ -257,21 +242,23 @@ class _Call:
 
 
 def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str | None:
-    """Run a scenario in a worker; return the answer, and the deaths of processes before a second attempt succeeded.
+    """Run a scenario in a worker. Return the answer, and the deaths of processes before a second attempt succeeded.
 
-    Return a text with the reason if the worker cannot run any scenario, or None if it needs the content of the parcel.
+    Return the reason if the worker cannot run any scenario, or None if it needs the content of the parcel.
     """
+    # The same scenario must give the same result on any worker, so the versions must be equal.
     here, place = versions_here(), f"{socket.gethostname()} ({sys.executable})"
     other = [f"{name} {version} in this session, {here.get(name)} there" for name, version in parcel.versions.items()
              if here.get(name) != version]  # fmt: skip
     if other:
-        expected = f"{OPTION}: expected workers with the versions of this session"
-        return f"{expected}, received at {place}: {'; '.join(other)}; install the same there"
+        expected = f"{OPTION}: expected workers with the same versions as this session"
+        return f"{expected}, but at {place} they differ: {'; '.join(other)}. Install the same versions there"
     try:
         whole, idle = _kept(parcel)
     except LookupError:
         return None
     try:
+        # One idle child for each task that ran at the same time. A child is put back after its task.
         pool = idle.get_nowait()
     except Empty:
         multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which may have no children.
@@ -287,18 +274,13 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
 
 @lru_cache(maxsize=4)
 def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
-    """Return a parcel with its content, and the idle child processes for it; there is one for each simultaneous task.
-
-    Raises:
-        LookupError: if this worker does not have the content.
-    """
+    """Return a parcel with its content, and its idle child processes."""
     if parcel.content is None:
         raise LookupError
     return parcel, SimpleQueue()
 
 
 def _run(parcel: Parcel, task: Task, tell: object) -> Timed:
-    """Run a scenario in the child process of a worker."""
     scenario, method = (task.scenario, task.method) if isinstance(task, Whole) else (task, "rollout")
     return Job.run(partial(_unpacked, parcel), scenario, method)
 
@@ -308,5 +290,5 @@ def _unpacked(parcel: Parcel) -> Job:
     try:
         job: Job = pickle.loads(parcel.content or b"")  # noqa: S301  (packed by the session)
     except Exception as error:  # noqa: BLE001  (importing a user's module may raise anything)
-        raise ExecutionError(f"expected the packages that it needs, received {type(error).__name__}: {error}") from None
+        raise ExecutionError(f"expected all packages of the ADS, received {type(error).__name__}: {error}") from None
     return job

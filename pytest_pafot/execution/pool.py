@@ -1,10 +1,4 @@
-"""A pool of processes, each of which runs one task at a time; it identifies the task in which a process dies or hangs.
-
-Existing pools do not suffice. With loky 3.7.0 all running tasks fail if one process dies, and the task that caused it
-is unknown. pebble 5.2.3 identifies that task, but forks the next process in a thread, while a different thread may hold
-a lock. pebble can limit only the duration of a task, so it cannot distinguish a slow task from a task that never
-returns to Python. Here each process has its own pipe, and the calling thread serves all pipes.
-"""
+"""A pool of processes that identifies the task in which a process dies or hangs."""
 
 from __future__ import annotations
 
@@ -39,56 +33,39 @@ from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_res
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
+# Forked processes have the factory and its fixtures. The system libraries of other platforms do not survive a fork,
+# so the factory must be picklable there.
 START_METHOD = "fork" if sys.platform == "linux" else "spawn"
-"""The start method of processes. Forked processes have the factory and the fixtures that it uses.
 
-On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
-"""
+GRACE = 5.0  # additional time for a decision after its limit, or for a process that does not answer [s]
+IGNORED = 0.5  # additional time for a decision that ignores its interrupt; only the process ends, not the session [s]
+FAREWELL = 2.0  # time in which a process can end normally, together with its own child processes [s]
 
-GRACE = 5.0
-"""The additional time after which a decision that exceeds its limit, or a process that does not answer, is ended
-[s]."""
-
-IGNORED = 0.5
-"""The additional time after which a process of the pool is ended if a decision in it ignores its interrupt [s]. It is
-shorter than :data:`GRACE`, because only that process ends and not the session."""
-
-FAREWELL = 2.0
-"""The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
-
-KILLED = "was ended by SIGKILL"
-"""The words for the end of a process that was killed from outside, as Linux does if there is too little memory."""
-
+# How a process ended. These words must not change, because findings store them.
+KILLED = "was ended by SIGKILL"  # by something else, such as Linux when memory runs out
 OUT_OF_MEMORY = "ran out of the memory that it may use"
-"""The words for the end of a process in which an allocation of memory failed."""
-
 WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"
-"""The words for the end of a process in which an environment hangs."""
 
-STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3
-"""The reasons for which a process ends itself: a decision that does not end, no more memory, or a world that hangs."""
+STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3  # why a process ends itself
 
-POLL = 0.5
-"""The longest time to wait for answers before checking that the busy processes are still alive [s]."""
+POLL = 0.5  # longest time between two checks that busy processes are alive [s]
 
-LARGEST = 0x2020_2020 - 1
-"""The largest size of an answer [bytes].
+# A message begins with its length. If an ADS prints into the pipe, whose descriptor it found by chance, four characters
+# are read as a length, and the session would wait for so many bytes. The smallest such length is that of four spaces.
+LARGEST = 0x2020_2020 - 1  # largest size of an answer [bytes]
 
-A message begins with its length. If an ADS prints into the pipe, whose descriptor it has found by chance, the session
-takes the first bytes of the text for a very large length. Without a limit it would wait forever for that many bytes.
-"""
-
+# a function of a task, and of a function that sends messages before the answer
 Work: TypeAlias = Callable[..., ResultT]
-"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends what it
-says before its answer."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
-    """Error for a task without a result, because the process that ran it died or hung.
+    """An error for a task without a result, because its process died or hung.
 
-    ``end`` describes in a few words how the process ended; it is given as these words or as its exit code. ``is_hang``
-    is True if the process hung and was killed. A ``pid`` of 0 stands for a worker on another machine, whose process id
-    is unknown.
+    Args:
+        task: the task.
+        pid: the id of the process; 0 for a worker on another machine.
+        how: a description of the end of the process, or its exit code.
+        is_hang: True if the process hung.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
@@ -101,18 +78,16 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
     @property
     def advice(self) -> str:
-        """The message about a policy that has ended the process in which it drove."""
         return (
-            f"expected a policy that drives to the end of the run, received one whose process {self.end}. It ends the "
-            'process itself, as sys.exit and os._exit do, or its compiled code crashes: see page "Bring a planner"'
+            f"expected a policy that drives to the end of the run, received one whose process {self.end}. Does it call "
+            'sys.exit or os._exit, or does its compiled code crash? See the page "Test your own planner"'
         )
 
     @property
     def recovery(self) -> str:
-        """The note on a process that died in a task that succeeded when it was tried again."""
         return (
-            f"a {self.who} {self.end} while it ran {self.task}, which ran to its end when it was tried "
-            "again: there may be too little memory for so many workers, or the process was killed from outside"
+            f"a {self.who} {self.end} while it ran {self.task}, which ran to its end when it was tried again. There "
+            "may be too little memory for so many workers, or something else killed the process"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -121,26 +96,22 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
 @dataclass(eq=False)
 class WorkerPool(Generic[TaskT, ResultT]):
-    """A pool of up to ``size`` processes, which are started when they are needed. Use it in a ``with`` statement.
+    """A pool of up to ``size`` processes, which start on demand. Use it in a ``with`` statement.
 
-    The answer to a task is its result or an exception: the exception of the task, an error if the result cannot be sent
-    or no process can run the task, or a ``ProcessLostError``.
+    The answer to a task is its result or an exception. A ``ProcessLostError`` means that the process died or hung.
 
     Args:
-        work: the function that runs a task. Tasks and results must be picklable, and ``work`` as well if processes are
-            not forked.
+        work: the function that runs a task. Tasks and results must be picklable, and ``work`` too if processes are not
+            forked.
         size: the largest number of processes.
         method: the start method of processes, see :mod:`multiprocessing`.
-        patience: the longest time for which a process may not answer a signal before it is killed [s]. Python answers
-            signals between two instructions.
-        grace: the additional time after which a process is ended if a decision of an ADS ignores its interrupt [s].
-        idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
-        ended: a function that is called with the id of each process of the pool that has ended, or that one of them had
-            started.
-        leave: a function that each process calls before it ends, also if SIGTERM ends it, in a task or not; but not
-            if it has to be killed, as by a second SIGTERM. None if there is nothing to do.
-        left: a function that is called with what ``leave`` has returned in a process.
-        farewell: the time that a process gets to end by itself [s].
+        patience: the longest time in which a process must answer a signal before it is killed [s].
+        grace: the additional time for a decision that ignores its interrupt [s].
+        idle: the time after which an idle process ends [s], or None.
+        ended: a function that is called with the id of each process that has ended.
+        leave: a function that each process calls before it ends, unless it has to be killed; or None.
+        left: a function that is called with the result of ``leave``.
+        farewell: the time in which a process can end normally [s].
         clock: a monotonic clock [s].
     """
 
@@ -158,10 +129,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
     clock: Callable[[], float] = monotonic
 
     def __post_init__(self) -> None:
+        # deaths of processes in tasks that succeeded in a second attempt
         self.recovered: list[ProcessLostError[TaskT]] = []
-        """The deaths of processes in tasks that succeeded when they were tried a second time."""
-        self.failure = ""
-        """The reason why no process can be started, so that tasks have no results; else empty."""
+        self.failure = ""  # why no process can be started, or empty
         self._has_lost = False  # whether a process has died
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
@@ -180,16 +150,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Start some tasks in their order; earlier tasks that were not fetched are dropped.
-
-        ``tasks`` may be a generator: each task starts as soon as the generator yields it, if a process is free.
-        """
+        """Start these tasks in their order, and drop earlier ones that were not fetched."""
         self._pending, self._wanted, self._followed = deque(), set(), set()
         self._said, self._answers, self._suspects = deque(), {}, {}
         self.add_all(tasks)
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
-        """Start some more tasks after all earlier ones, unless their answers are still to be fetched."""
         for task in tasks:
             if task not in self._wanted:
                 self._wanted.add(task)
@@ -197,24 +163,23 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._send()
 
     def add_first(self, tasks: Iterable[TaskT]) -> None:
-        """Start some more tasks before all that were not started yet, unless their answers are still to be fetched."""
         new = [task for task in tasks if task not in self._wanted]
         self._wanted.update(new)
         self._pending.extendleft(reversed(new))
         self._send()
 
     def follow(self, task: TaskT) -> None:
-        """Start a task after all others, whose answer comes with all that it says; see :meth:`hear`."""
+        """Add a task whose messages :meth:`hear` returns before the answer."""
         self._followed.add(task)
         self.add_all([task])
 
     def hear(self, *, waits: bool) -> tuple[TaskT, Any] | None:
-        """Return the next that a followed task has said, or last its answer, with the task; None if that is all so far.
+        """Return the next message or the answer of a followed task, with the task.
 
-        With ``waits``, wait until there is something. A followed task is not tried again if its process died in it.
+        Without ``waits``, return None if there is nothing yet.
 
         Raises:
-            OutOfTime: if the time of the search is over; all processes are ended.
+            OutOfTime: if the time of the search has run out. All processes are ended.
         """
         while waits and not self._said:
             self._receive()
@@ -222,14 +187,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return self._said.popleft() if self._said else None
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
-        """Wait for the answer to a task and return it; a task that was not started before is run next.
-
-        Each answer can be fetched once. A task in which a process died is tried once more, and if the process was
-        killed, while nothing else runs, because there may have been too little memory for all processes.
+        """Wait for the answer to a task. It can be fetched only once.
 
         Raises:
-            OutOfTime: if the time of the search is over; all processes are ended.
+            OutOfTime: if the time of the search has run out. All processes are ended.
         """
+        # A process may be killed because all processes together use too much memory. So such a task is tried again
+        # alone. Any other death counts only if a second process dies as well.
         self.add_first([task])
         first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
@@ -250,7 +214,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return answer
 
     def completed(self) -> Iterator[tuple[TaskT, ResultT | Exception]]:
-        """Yield each expected task with its answer as soon as it is available; no task is tried twice."""
+        """Yield each task with its answer as soon as it is available. No task is tried twice."""
         while self._wanted:
             self._receive()
             self._send()
@@ -261,12 +225,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 yield task, answer
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes; busy processes are killed, and with ``at_once`` idle ones, too.
-
-        Processes with something to do before they end are not killed, but interrupted, and get the time for it.
-        """
+        """End all processes. Idle ones are killed only with ``at_once``."""
         has_leave = self.leave is not None
         ending = [each for each in self._workers if (has_leave or not at_once) and each.leaves(interrupted=has_leave)]
+        # All processes share one deadline, so the end of the pool does not take longer with more processes.
         deadline = self.clock() + self.farewell
         try:
             for worker in ending:
@@ -304,6 +266,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             return
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
+            # Processes start here, on demand. After a death, faulthandler is off in new ones, see _quietly.
             while idle is None or not idle.take(task, self.clock()):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
@@ -315,7 +278,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._fail(task, str(error))
 
     def _fail(self, task: TaskT, reason: str) -> None:
-        """Record the reason why no process can be started, and answer a task with it."""
         self.failure = reason
         self._answer(task, RuntimeError(reason))
 
@@ -328,12 +290,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._answers[task] = answer
 
     def _receive(self) -> None:
-        """Wait for a limited time and receive all available answers; sometimes check processes that do not answer."""
         try:
             check_time()
         except OutOfTime:
             self.close(at_once=True)
             raise
+        # Several checks must fit into the patience.
         busy, now_and_then = self._busy, min(POLL, self.patience / 4)
         ready = wait([worker.connection for worker in busy], timeout=now_and_then)
         is_time = not ready or self.clock() - self._looked_at >= now_and_then
@@ -361,6 +323,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._said.append((task, said))
                 return
             is_gone = True
+        # The process sent nothing, so find out why. Its own reason comes first: it may be dead by now.
         if worker.gave_up.value == EXHAUSTED:
             self._lose(task, worker, OUT_OF_MEMORY)
         elif worker.gave_up.value == WORLD_STUCK:
@@ -376,7 +339,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
 
     def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
-        """Run a task of a process that has left again, if the process had not begun it; else lose the task."""
         self.left(left.said)
         if left.in_task:
             self._lose(task, worker, ending(-signal.SIGTERM))
@@ -389,15 +351,16 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._remove(worker)
         self._has_lost = True
         lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
+        # A process that dies before its first task was not killed by a task, and the next one would die too.
         if not worker.has_begun:
-            self._fail(task, self.failure or f"a process {lost.end} before it had begun")
+            self._fail(task, self.failure or f"a process {lost.end} before its first task")
         elif task in self._wanted and (is_hang or task in self._followed):
             self._answer(task, lost)
         elif task in self._wanted:
             self._suspects[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        """Kill a process of the pool, and on Linux also the processes that it has started."""
+        # The children first: their ids cannot be reused as long as their parent exists.
         children = _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
@@ -408,8 +371,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
 
 class _Worker(Generic[TaskT]):
-    """One process of the pool."""
-
     def __init__(
         self,
         context: Any,
@@ -426,6 +387,7 @@ class _Worker(Generic[TaskT]):
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
+        # A forked process inherits these pipes, and has to close them.
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
         # What is to do before the end needs time, and a thread that ends would take the process with it.
         is_bound = leave is None and threading.current_thread() is threading.main_thread()
@@ -442,17 +404,15 @@ class _Worker(Generic[TaskT]):
 
     @property
     def has_begun(self) -> bool:
-        """True if the process has started and waits for tasks, or has already run some."""
         return bool(self._beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
-        """Send a task to the process and remember it; return False if the process has ended."""
+        """Send a task to the process. Return False if the process has ended."""
         self._asked_at = None if self.has_begun else now
         self.task = task if self.send(task) else None
         return self.task is not None
 
     def send(self, task: TaskT | None) -> bool:
-        """Send a task to the process, or None to end the process; return False if the process has ended."""
         try:
             self.connection.send_bytes(pickle.dumps(task))
         except OSError:
@@ -460,7 +420,7 @@ class _Worker(Generic[TaskT]):
         return True
 
     def leaves(self, *, interrupted: bool) -> bool:
-        """Ask the process to end, if it is idle or may be interrupted in its task; return False if it is not asked."""
+        """Ask the process to end. Return False if it must not be interrupted or has already ended."""
         if self.task is not None and not interrupted:
             return False
         is_asked = self.send(None)
@@ -469,7 +429,7 @@ class _Worker(Generic[TaskT]):
         return is_asked
 
     def farewell(self, deadline: float, clock: Callable[[], float]) -> _Left | None:
-        """Return the last that the process says, until a time of the clock; None if it says nothing more."""
+        """Return the last message of the process, or None."""
         while self.connection.readable and self.connection.poll(max(0.0, deadline - clock())):
             heard = self.hear()
             if heard is None or isinstance(heard[1], _Left):
@@ -477,20 +437,20 @@ class _Worker(Generic[TaskT]):
         return None
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Receive a message of the process: (True, result) or (False, what it says); None if the process ended."""
+        """Return (True, result), (False, message), or None if the process has ended."""
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
             return None
         except Exception as error:  # noqa: BLE001  (unpickling the user's objects may raise anything)
-            expected = "expected a result that can be read in the session, received one that raises there"
+            expected = "expected a result that can be unpickled in the session, received one that raises"
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
         return is_done, said
 
     def silence(self, now: float) -> float:
-        """Return for how long it has not answered a signal [s]; send a signal if none is unanswered."""
+        """Return how long the process has not answered a signal [s]."""
         if self._beats.value != self._heard:
             self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
@@ -503,14 +463,12 @@ class _Worker(Generic[TaskT]):
 
 
 class _Left(NamedTuple):
-    """The last message of a process, and whether it ended in a task."""
-
     said: Any
     in_task: bool
 
 
 def ending(code: int | None) -> str:
-    """Return the words for the end of a process with an exit code, such as ``was ended by SIGKILL``."""
+    """Return a description such as ``was ended by SIGKILL``."""
     if code is not None and code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
@@ -518,10 +476,7 @@ def ending(code: int | None) -> str:
 
 
 def _end_children(pid: int) -> list[int]:
-    """Kill the processes that a process has started, also in their own groups; return their ids.
-
-    The process must still exist: until it ends, the ids of its children are not reused.
-    """
+    """Kill all descendants of a process, which must still exist, and return their ids."""
     ended: list[int] = []
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
@@ -536,14 +491,14 @@ def _end_children(pid: int) -> list[int]:
 
 
 def _end_with_session(patience: float | None) -> None:
-    """Let the end of the session end this process, whatever policies and their threads do in it.
+    """Make this process end with the session, whatever policies and their threads do.
 
-    With a ``patience`` of None, Linux kills it at once, and also the processes that its main thread forks. Otherwise,
-    and on other systems, a thread interrupts it, and ends it after that time [s].
+    With a ``patience`` of None, Linux kills it immediately. Otherwise it is interrupted, and ended after that time [s].
     """
     session: Any = multiprocessing.parent_process()
     main, pid = threading.get_ident(), os.getpid()
 
+    # Only children of the main thread: the system would send the signal when the thread ends that made a child.
     def bind_child() -> None:
         if threading.get_ident() == main and os.getppid() == pid:
             bound_to(pid, signal.SIGKILL)
@@ -567,7 +522,7 @@ def _end_with_session(patience: float | None) -> None:
 
 
 def _quietly(work: Work[Any], task: Any, tell: Callable[[Any], object]) -> Any:
-    """Run a task after another process has died: where such a policy dies was printed then, in some hundred lines."""
+    # The first process that died has printed its stack, in about a hundred lines. Do not repeat them.
     faulthandler.disable()
     return work(task, tell)
 
@@ -583,11 +538,7 @@ def _serve(
     leave: Callable[[], Any] | None,
     patience: float | None,
 ) -> None:
-    """Run tasks in a process of the pool until there are no more, or until the session has ended.
-
-    ``beats`` counts the start of the process and each signal that it answers; ``patience`` is that of
-    :func:`_end_with_session`.
-    """
+    """Run tasks in a process of the pool until the pool or the session ends."""
     _end_with_session(patience)
     is_leaving = may_raise = in_task = False
 
@@ -657,7 +608,6 @@ def _serve(
 
 @contextmanager
 def _blocked(signals: set[signal.Signals], method: str = "") -> Iterator[None]:
-    """Block signals while a thread starts, or a process, which an interrupt could end before it has a handler."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -671,11 +621,6 @@ def _blocked(signals: set[signal.Signals], method: str = "") -> Iterator[None]:
 
 
 def _sendable(result: object) -> bytes:
-    """Return a result for the session as bytes; an error that says what to do if it cannot be pickled.
-
-    Raises:
-        RuntimeError: if the result cannot be pickled.
-    """
     try:
         return pickle.dumps(result)
     except MemoryError:
@@ -683,12 +628,12 @@ def _sendable(result: object) -> bytes:
     except Exception as error:
         raise RuntimeError(
             "expected a result that can be sent to the session, received one that cannot be pickled: "
-            f"{type(error).__name__}: {error}; let the ADS return plain numbers"
+            f"{type(error).__name__}: {error}. Does the ADS return two numbers?"
         ) from error
 
 
 def _portable(error: BaseException) -> Exception:
-    """Return the error with its traceback as a note; if it cannot be pickled, a RuntimeError with the same text."""
+    """Return an error that can be pickled, with its traceback as a note."""
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded
     try:

@@ -1,7 +1,6 @@
-"""Who runs scenarios: this process, :class:`Here`, or others that it starts, :class:`Apart`.
+"""The runners of scenarios: :class:`Here` uses this process, :class:`Apart` uses others.
 
-Both are asked for the ``results`` of one scenario after the other, or to drive one scenario ``once``. Who makes a run
-affects only the time of the search, not its results.
+The choice affects only the time of a search, not its results.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.codec import checked_world
-from pytest_pafot.world.driving.policy import Policy, ending_after
+from pytest_pafot.world.driving.policy import Policy, end_after
 from pytest_pafot.world.engines.simulation import CLOSING, Simulators
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.simulator_world import SimulatorWorld
@@ -48,10 +47,7 @@ from pytest_pafot.world.simulator_world import SimulatorWorld
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """The captured output: printed text, log records, warnings and what ended threads, each in their order.
-
-    A warning that passes the filters is stored as text, category, file and line, without the objects that it refers to.
-    """
+    """The output of code in another process, which the process of the test repeats for pytest."""
 
     out: str = ""
     err: str = ""
@@ -63,12 +59,10 @@ class CapturedOutput:
         return bool(self.out or self.err or self.records or self.warned or self.threads)
 
     def followed_by(self, other: CapturedOutput) -> CapturedOutput:
-        """Return this output and a later one as one."""
         names = [each.name for each in fields(self)]
         return CapturedOutput(**{name: getattr(self, name) + getattr(other, name) for name in names})
 
     def repeat(self) -> None:
-        """Print the texts, handle the log records, issue the warnings and tell of the threads in this process."""
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
             if text:
                 stream.write(text)
@@ -85,7 +79,7 @@ class CapturedOutput:
 
 @contextmanager
 def capture_output() -> Iterator[CapturedOutput]:
-    """Capture the output of the code in the ``with`` block; it is complete when the block ends."""
+    """Capture the output of the code in the ``with`` block. It is complete when the block ends."""
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
@@ -107,14 +101,12 @@ def capture_output() -> Iterator[CapturedOutput]:
 
 
 class _Stream(io.TextIOWrapper):
-    """A text stream in memory that accepts bytes as well, like a standard stream."""
-
     def __init__(self) -> None:
         self._bytes = io.BytesIO()
         super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
 
     def close(self) -> None:
-        """Stay open, so that code that closes a standard stream does not lose its earlier output."""
+        """Stay open, because code can close a standard stream."""
 
     @property
     def text(self) -> str:
@@ -124,37 +116,29 @@ class _Stream(io.TextIOWrapper):
 # The processes.
 
 METHOD = START_METHOD
-"""The start method of the processes that run scenarios."""
 
 
 def forks() -> bool:
-    """Return whether processes are forked, so that they have all that this one has."""
+    """Return whether processes are forked, so that they have all objects of this one."""
     return METHOD == "fork"
 
 
 NOT_TRIED_HERE = (
-    "This was raised in the process in which the ADS has to run, and is not tried again in the session. If it works in "
-    "the session, the ADS or its factory uses something that a different process cannot have, such as CUDA, a thread "
-    "or a connection: open that in the factory, not before."
+    "The ADS has to run in a separate process, which raised this, so the session does not try it again. Does the ADS "
+    "use something that another process cannot share, such as CUDA, a thread or a connection? Open it inside the "
+    "factory, not before."
 )
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
 
+# the result of runs in a process, the captured output, and the duration of the runs [s]
 Timed: TypeAlias = tuple[Any, CapturedOutput, float]
-"""What a process sends: the trace of a run, what it has made of the trace, or what it has counted of a chunk; with the
-captured output of the runs that this is about, and their duration in wall-clock time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A task of a process that draws and drives consecutive scenarios of a random search by itself.
-
-    Attributes:
-        first, end: the first number, and the one after the last.
-        known: the failures of which no run must be sent.
-        fatal: scenarios that must not be run.
-    """
+    """A task for a process that draws and runs consecutive scenarios of a random search."""
 
     first: int
     end: int
@@ -167,7 +151,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A task of a process that runs a scenario by a method of the world, and sends the trace in any case."""
+    """A task for a process that runs a scenario with a method of the world, and sends the whole trace."""
 
     scenario: Scenario
     method: str = "rollout"
@@ -176,27 +160,23 @@ class Whole:
         return str(self.scenario)
 
 
+# a run, or an exception, after which this process may repeat the run unless it is a ProcessLostError
 Answer: TypeAlias = Timed | Exception
-"""The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
-:class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 
+# for scenarios and Whole ones, with an Answer, and for Chunks, which send several Timed
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios, also :class:`Whole`, with an :data:`Answer`, or a :class:`Chunk`, of which it says
-several :data:`Timed`."""
 
-Drive: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]
-"""A function that drives a scenario with the policies of a factory."""
+Drive: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]  # runs a scenario with the policies of a factory
 
-Cluster: TypeAlias = Callable[[Any], Any]
-"""A function that makes pools of the workers on other machines, like a :data:`ScenarioPool`, for a :class:`Job`."""
+Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """Everything that a run of any scenario needs, in this process or in a different one.
+    """The data that a run of any scenario needs, in any process.
 
-    ``records`` is the folder of crash records. ``owner``, the node id of the test, and ``world_data``, the world as
-    plain data, are written into them.
+    Crash records are written to the folder ``records``, together with ``owner``, the node id of the test, and
+    ``world_data``, the world as JSON-compatible data.
     """
 
     world: BaseWorld
@@ -204,27 +184,21 @@ class Job:
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None
-    root: Path = Path()
-    """The folder of the project, whose modules are sent with the ADS to other machines."""
-    read: Callable[[Trace], Any] | None = None
-    """A function that returns what a process sends of a run instead of its trace; None if it sends the trace."""
+    root: Path = Path()  # the folder of the project, whose modules are sent to other machines
+    read: Callable[[Trace], Any] | None = None  # returns what a process sends instead of a trace
+    # runs a chunk in a process
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
-    """A function that drives a chunk in a process, with this job and its crash record; None if there is none."""
-    own: Drive | None = None
-    """A function that drives scenarios in the place of the world; None if the world does."""
-    remark: str = ""
-    """What the note on the use of processes says in addition."""
-    reference: str = ""
-    """The name of the ADS if it is the reference of a search; empty for the tested one."""
+    own: Drive | None = None  # runs scenarios instead of the world
+    remark: str = ""  # an addition to the note on the use of processes
+    reference: str = ""  # the name of the policy if it is the reference of a search; empty for the tested one
 
     @property
     def patience(self) -> float:
-        """The longest time for which a process may not answer while it makes a run [s]."""
+        """The longest time in which a process must answer during a run [s]."""
         return self.world.hang_limit + GRACE
 
     @property
     def closing(self) -> dict[str, Any]:
-        """The arguments of a pool whose processes close their simulators when they end; none in other worlds."""
         if not isinstance(self.world, SimulatorWorld):
             return {}
         return {"leave": _close_simulators, "left": CapturedOutput.repeat, "farewell": FAREWELL + CLOSING}
@@ -233,10 +207,7 @@ class Job:
     def run(
         made: Callable[[], Job], scenario: Scenario, method: str = "rollout"
     ) -> tuple[Trace, CapturedOutput, float]:
-        """Run a scenario of the job that a function returns, by a method of its world.
-
-        Return the trace, the output of that function and of the run, and the duration of the run [s].
-        """
+        """Run a scenario of the job that ``made`` returns. Return trace, captured output and duration [s]."""
         with capture_output() as output:
             job = made()
             started = monotonic()
@@ -245,16 +216,15 @@ class Job:
         return trace, output, seconds
 
     def driving(self, drive: str | Drive) -> Drive:
-        """Return a method of the world that makes runs, by its name, or a function, with seeded global generators."""
+        """Return a method of the world by its name, or a function, with seeded global generators."""
         return partial(GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive)
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
-        """Return a crash record for the process that writes it; its file is created only for the first scenario."""
         return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
 
 
 class ExecutionError(Exception):
-    """Error for a run that must be made in a different process if no such process can be started or used."""
+    """An error for a run that needs another process when none can be started or used."""
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
@@ -269,8 +239,8 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
             pickle.dumps(work)
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
-                "expected an ADS factory that can be pickled, such as a class in a module that can be imported, since "
-                f"processes cannot be forked here, received one that raises {type(error).__name__}: {error}"
+                "expected an ADS factory that can be pickled, because processes cannot be forked here, received one "
+                f"that raises {type(error).__name__}: {error}. Use a class or function of a module that can be imported"
             ) from None
     grace = min(IGNORED, GRACE)
     return WorkerPool(
@@ -293,10 +263,7 @@ def _close_simulators() -> CapturedOutput:
 def _run_task(
     job: Job, record: CrashRecord, task: Scenario | Whole | Chunk, say: Callable[[Timed], object]
 ) -> Timed | None:
-    """Run a scenario or a chunk in a process of the pool; the crash record of each scenario is on disk during its run.
-
-    The record is closed after each task, since nothing would remove it after the session.
-    """
+    # The record is closed after each task, since nothing would remove it after the session.
     with record, GENERATORS.held():
         if isinstance(task, Whole):
             return run_recorded(job, record, task.scenario, None, task.method)
@@ -310,7 +277,7 @@ def _run_task(
 def run_recorded(
     job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Any] | None, method: str = "rollout"
 ) -> Timed:
-    """Run a scenario by a method of the world, with its crash record on disk; the trace is read as by ``Job.read``."""
+    """Run a scenario with its crash record on disk. The trace is read as by ``Job.read``."""
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario, method)
     if read is None:
@@ -322,14 +289,14 @@ def run_recorded(
 
 
 def _forget(job: Job, pid: int) -> None:
-    """Remove the crash record of a process that has ended, because this session knows about its end already."""
+    # This session knows how the process ended, so the next session must not report it again.
     for leftover in left_by(job.owner, job.records):
         if leftover.pid == pid:
             leftover.discard()
 
 
 def made_from(answer: Answer) -> Any:
-    """Return what an answer says of its run and repeat its output here; None if the scenario must be run here.
+    """Return the result of an answer and repeat its output here, or None if the scenario must be run here.
 
     Raises:
         ProcessLostError: if the process died or hung.
@@ -345,7 +312,7 @@ def made_from(answer: Answer) -> Any:
 
 
 def made_apart(answer: Answer) -> Any:
-    """Return what an answer says of its run; raise if nothing, because the ADS must not run in this process.
+    """Return the result of an answer for a policy that must not run in this process.
 
     Raises:
         Exception: the exception of the other process.
@@ -359,10 +326,8 @@ def made_apart(answer: Answer) -> Any:
 
 
 def expectation(lost: LostRun) -> Expect:
-    """Return the expectation that a saved scenario stores if the process that ran it died or hung.
-
-    The ADS is assumed to be the cause.
-    """
+    """Return the expected failure for a saved scenario in which the process died or hung."""
+    # The ADS is assumed to be the cause. The message must not change, because findings store it.
     outcome = Outcome.HANG if lost.is_hang else Outcome.ADS_ERROR
     message = f"the process that ran this scenario {lost.end}"
     return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
@@ -380,53 +345,36 @@ def runner_for(
     """Return the runner of a job.
 
     Args:
-        job: everything that a run needs.
-        record: the open crash record of this process; the caller clears it after each verdict, and closes it.
-        workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
-            set.
+        job: the data that a run needs.
+        record: the open crash record of this process. The caller clears it after each verdict, and closes it.
+        workers: the largest number of other processes; 1 for this process alone.
         isolate: True if the ADS must never run in this process.
-        cluster: workers that make the runs of which :meth:`Here.results` is asked, and with ``isolate`` all runs; None
-            for those of this machine.
+        cluster: workers on other machines, or None.
         clock: a monotonic clock [s].
-
-    Raises:
-        WorldError: if the world cannot be used.
     """
     if workers == 1 and not isolate and cluster is None:
         return Here(job, record)
     return Apart(job, record, workers=workers, is_only=isolate, cluster=cluster, clock=clock)
 
 
-DEAR = 0.010
-"""The mean duration of a run from which on a search is faster with other processes [s].
+# A run in another process takes half a millisecond longer, and starting a process takes as long as several runs.
+DEAR = 0.010  # mean duration of a run from which other processes make a search faster [s]
 
-A run in a different process takes half a millisecond longer, and starting a process takes as long as several runs.
-"""
+# The first run loads libraries. If it was slow, processes are started after it, and ended again if the next runs turn
+# out to be fast.
+WARM_RUNS = 2  # number of runs after the first one that decide whether other processes are used
 
-WARM_RUNS = 2
-"""The number of runs, after the first run of a search, that decide whether other processes are used.
-
-The first run is slower, because it loads libraries. If it was slow, processes are started after it. If the next runs
-turn out to be fast, the processes are ended.
-"""
-
-AHEAD, AHEAD_ELSEWHERE = 4, 128
-"""The number of scenarios that each process gets in advance, and that all workers of a cluster get."""
+AHEAD, AHEAD_ELSEWHERE = 4, 128  # scenarios that are sent in advance to each process, and to all workers of a cluster
 
 
 class Here:
-    """A runner that makes all runs in this process.
+    """A runner that makes all runs in this process."""
 
-    A runner is used in a ``with`` statement, and can still be used after it, also in a second one.
-    """
-
-    is_elsewhere = False
-    """True if workers on other machines make the runs of :meth:`results`."""
+    is_elsewhere = False  # whether workers on other machines make the runs of results
 
     def __init__(self, job: Job, record: CrashRecord) -> None:
         self.job = job
-        self.decisions = 0
-        """The number of decisions of the ADS for which :meth:`once` has asked."""
+        self.decisions = 0  # the number of decisions in the runs of once
         self._record = record
         self._held = ExitStack()
 
@@ -438,87 +386,68 @@ class Here:
         self._held.close()
 
     def once(self, scenario: Scenario, drive: str | Drive = "rollout", *, most: int | None = None) -> Any:
-        """Drive a scenario, and return the trace of the run, or what the function ``drive`` returns.
-
-        The crash record of the scenario stays on disk, because the judgement of the run may end the process, too.
+        """Run a scenario, and return the trace, or the result of the function ``drive``.
 
         Args:
             scenario: the scenario to run.
-            drive: a method of the world that makes runs, by its name, or a function that drives a scenario.
-            most: the number of decisions after which the run is of no interest, and ends with an error of the ADS. A
-                run in a different process has more decisions.
+            drive: the name of a method of the world that makes runs, or a function that runs a scenario.
+            most: the number of decisions after which the run may end with an error of the ADS.
 
         Raises:
-            ProcessLostError: if the run was in a different process, which died or hung.
-            ExecutionError: if the run must be in a different process, and none can be started.
+            ProcessLostError: if the run was in another process, which died or hung.
+            ExecutionError: if the run needs another process, and none can be started.
             Exception: any exception of the world or the factory.
         """
         __tracebackhide__ = True
         made = self._once(scenario, drive, most)
         if isinstance(made, Trace):
+            # A run in another process has more decisions than ``most``, so they are cut to the same number.
             self.decisions += min(len(made.actions), most or sys.maxsize)  # the same for any number of processes
         return made
 
     def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
-        """Yield what a process has made of each scenario, see ``Job.read``, or the trace of its run, in their order.
+        """Yield the result of each scenario in order: what ``Job.read`` returned, a trace, or a ``ProcessLostError``.
 
-        The crash record of a trace's scenario stays on disk, as with :meth:`once`.
-
-        Args:
-            scenarios: the scenarios, which are drawn as late as possible.
-            skips: says in the turn of a scenario whether it need not be run after all.
-
-        Yields:
-            what was made, or the ``ProcessLostError`` of a process that died or hung.
-
-        Raises:
-            Exception: as for :meth:`once`.
+        ``skips`` is called in the turn of a scenario, and returns whether it need not be run after all.
         """
         __tracebackhide__ = True
         for scenario in filterfalse(skips, scenarios):
             yield self._once(scenario)
 
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
-        """Let other processes make runs for which :meth:`once` will be asked, in their order.
+        """Announce scenarios for :meth:`once`, which other processes can run in advance.
 
-        Earlier ones for which it was not asked are dropped, unless these are ``more`` of them.
+        Earlier ones that were not requested are dropped, unless ``more`` is set.
         """
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the use of processes if the user requested them; complete after the processes have ended."""
+        """Notes on the use of processes, complete after the processes have ended."""
         return []
 
     @property
     def in_use(self) -> int:
-        """The number of processes in use; 0 if none are, or if they are on other machines."""
         return 0
 
     @property
     def run_seconds(self) -> float:
-        """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if it is not known."""
+        """The mean duration of the runs so far, without the first one [s]; 0 if it is not known."""
         return 0.0
 
     def _once(self, scenario: Scenario, drive: str | Drive = "rollout", most: int | None = None) -> Any:
-        """Drive a scenario in this process, with its crash record on disk."""
         __tracebackhide__ = True
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
-        return self.job.driving(drive)(scenario, factory if most is None else ending_after(factory, most))
+        return self.job.driving(drive)(scenario, factory if most is None else end_after(factory, most))
 
 
 class Apart(Here):
-    """A runner that makes runs in other processes: workers, isolated ones, or those of a cluster.
-
-    Unless only other processes may drive, they make the runs that are known in advance, and this process all others.
-    Workers are started if runs turn out to be slow. The end of a ``with`` statement ends the processes, at once after
-    an exception.
+    """A runner that makes runs in other processes: local workers, isolated processes, or those of a cluster.
 
     Args:
         job, record: as for :class:`Here`.
         workers: the largest number of processes.
-        is_only: True if the ADS must never run in this process. So no run is repeated here, and exceptions of the other
-            process are raised.
+        is_only: True if the ADS must never run in this process.
         cluster: workers on other machines, or None.
         clock: a monotonic clock [s].
     """
@@ -539,9 +468,9 @@ class Apart(Here):
         self._is_only = is_only
         self._cluster = cluster
         self._clock = clock
+        # Runs that were announced. Processes start only when a run turns out to be slow, see _learn.
         self._expected: dict[Scenario | Whole, None] = {}  # runs known in advance that were not asked for, in order
-        self.recovered: list[LostRun] = []
-        """The deaths of processes of earlier pools, and in chunks, in scenarios that ran to their end later."""
+        self.recovered: list[LostRun] = []  # deaths of processes of earlier pools in scenarios that succeeded later
         self._pool: ScenarioPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False
@@ -555,7 +484,6 @@ class Apart(Here):
             self._pool.close(at_once=kind is not None)
 
     def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
-        """Yield what processes have made of scenarios, as :meth:`Here.results` does; they are some scenarios ahead."""
         __tracebackhide__ = True
         coming, most = iter(scenarios), AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
         ahead = deque[Scenario]()
@@ -578,7 +506,6 @@ class Apart(Here):
             yield made
 
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
-        """Let other processes make runs, if they are in use."""
         if not more:
             self._expected = {}
             if self._pool is not None:
@@ -586,7 +513,6 @@ class Apart(Here):
         self._give(map(Whole, scenarios))
 
     def _give(self, tasks: Iterable[Scenario | Whole]) -> None:
-        """Give tasks to processes, or note them until there are any."""
         if self._pool is None:
             if self.is_elsewhere or self._workers > 1:
                 self._expected.update(dict.fromkeys(tasks))
@@ -607,8 +533,8 @@ class Apart(Here):
         return made_apart(pool.recovered[0] if pool.recovered else answer)
 
     def _made(self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None) -> Any:
-        """Return what another process sends of a task, by default a scenario, or the trace of a run in this process."""
         __tracebackhide__ = True
+        # None means that no process has the task, or that the process could not make the run, so this one does.
         made = self._collect(task or scenario)
         if made is None:
             started = self._clock()
@@ -622,7 +548,6 @@ class Apart(Here):
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
@@ -631,27 +556,26 @@ class Apart(Here):
             return [lost.recovery for lost in self.deaths]
         option = flag("workers", self._workers)
         if self._runs_before:
-            used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self.job.remark}"
+            used = f"{option}: after {plural(self._runs_before, 'run')} in this process, the rest ran in workers"
+            used += self.job.remark
             if self._pool is not None and self._pool.failure:
-                used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
+                used = f"{flag('workers')}: this process ran everything, because workers failed: {self._pool.failure}"
             return [used, *(lost.recovery for lost in self.deaths)]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
-        return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
+        return [f"{option}: not used, because a run took {mean:.1f} ms, and workers pay off from {dear:g} ms per run"]
 
     @property
     def in_use(self) -> int:
-        """The number of processes in use; 0 if none are, or if they are on other machines."""
         return 0 if self.is_elsewhere or self._pool is None or self._pool.failure else self._workers
 
     @property
     def run_seconds(self) -> float:
-        """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
         return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
 
     def drive(self, task: Chunk) -> bool:
-        """Let a process drive a chunk by itself; return False if none can."""
+        """Have a process run a chunk. Return False if no process can."""
         if self._pool is None and not self._failure:
             self._start()
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
@@ -661,11 +585,10 @@ class Apart(Here):
         return True
 
     def hear(self, *, waits: bool) -> tuple[Chunk, Any] | None:
-        """Return what one of the processes says next that drive chunks, as :meth:`WorkerPool.hear` does."""
+        """Return the next message of a process that runs chunks, as :meth:`WorkerPool.hear` does."""
         return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
     def end(self) -> None:
-        """End the pool, so that processes with another task can be started."""
         if self._pool is not None:
             self.recovered += self._pool.recovered
             self._pool.close()
@@ -673,15 +596,10 @@ class Apart(Here):
 
     @property
     def deaths(self) -> list[LostRun]:
-        """The deaths of processes in scenarios that ran to their end later."""
         return [*self.recovered, *([] if self._pool is None else self._pool.recovered)]
 
     def _collect(self, task: Scenario | Whole) -> Any:
-        """Return what became of a run in another process; None if it must be made in this one.
-
-        No run is repeated in this process if only other ones may drive. So if a worker on another machine raises, for
-        example because it lacks a package, the result is an ``ExecutionError``.
-        """
+        """Return the result of another process, or None if this process must make the run."""
         __tracebackhide__ = True
         if self._is_only:
             self._expected.pop(task, None)
@@ -703,7 +621,6 @@ class Apart(Here):
         return made_from(answer)
 
     def _fetched(self, task: Scenario | Whole, own: ScenarioPool | None = None) -> Answer:
-        """Return the answer of a process to a task: of the workers' pool, or of a pool for this task alone."""
         __tracebackhide__ = True
         try:
             pool = own or self._pool or self._begin()
@@ -711,23 +628,24 @@ class Apart(Here):
             raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer: Answer = pool.fetch(task)
         if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+            raise ExecutionError(f"{flag('isolate')}: expected processes that run the ADS, received: {pool.failure}")
+        # A worker on another machine may lack a package. The error must not be taken for one of the ADS.
         is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
         if is_raised and self.is_elsewhere and own is None:
             raise ExecutionError(
-                f"{flag('isolate')}: expected workers that can make every run, received from one of them "
-                f"{type(answer).__name__}: {answer}; install what the run needs on the workers, or search without "
+                f"{flag('isolate')}: expected workers that can make every run, received {type(answer).__name__}: "
+                f"{answer} from one of them. Install what the run needs on the workers. Or search without "
                 f"{flag('isolate')}, so that this process makes such runs"
             )
         return answer
 
     def count(self, runs: int, seconds: float) -> None:
-        """Count runs of other processes and the time that they took [s]."""
         self._warm_seconds += seconds if self._runs else 0.0
         self._runs += runs
 
     def _learn(self, seconds: float) -> None:
         self.count(1, seconds)
+        # The first run is not in the mean, since it loads libraries.
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
         if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear and not self._drives:
             self._pool.close(at_once=True)
@@ -750,10 +668,7 @@ class Apart(Here):
 
 
 def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object]) -> Trace:
-    """Return the trace of a run that is made in a process of its own, and evaluated there as well if it is forked.
-
-    The evaluation may end the process, too, and needs the fixtures of the test function, which only forked processes
-    have. Its output and its exceptions are ignored, because the session evaluates the run again.
+    """Return the trace of a run in a separate process, which also evaluates the run if it is forked.
 
     Raises:
         ProcessLostError: if the process died or hung, even if a second one did not.
@@ -763,6 +678,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
 
     def drive(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
         trace: Trace = GENERATORS.run(job.world.rollout, scenario, ads)
+        # The evaluation may end the process, too. It needs the fixtures of the test, which only a forked process has.
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace
@@ -775,11 +691,9 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
 
 
 def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
-    """Drive a scenario and return its run, for a test.
+    """Run a scenario for a test, and return the run.
 
-    If policies are isolated, a forked process drives the scenario first, and ends in place of this one. This process
-    then drives it as well, because a test may read what a policy has noted, and a policy that works only in the process
-    of the test must work.
+    If policies are isolated, a forked process runs the scenario first, so that a crash does not end this process.
 
     Raises:
         ProcessLostError: if the forked process died or hung.
@@ -787,6 +701,7 @@ def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
     __tracebackhide__ = True
     base = checked_world(world)
     if forks() and isolates():
+        # The run is repeated below in this process, because a test may read what its policy has stored.
         with tempfile.TemporaryDirectory(prefix="pafot-") as records:
             job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
             with job.crash_record() as record, Apart(job, record) as runner:

@@ -1,1 +1,1 @@
-"""Export of findings' runs as files for other tools. The module of a format is imported only if it is requested."""
+"""Export of the runs of findings as files for other tools."""

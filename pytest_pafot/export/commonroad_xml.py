@@ -1,4 +1,4 @@
-"""CommonRoad XML: lanes become lanelets, and every vehicle, including the ego, an obstacle with its driven path."""
+"""CommonRoad XML: lanes become lanelets, and every vehicle becomes an obstacle with its trajectory."""
 
 from __future__ import annotations
 
@@ -25,18 +25,15 @@ from pytest_pafot.export.exporter import edges, states_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, X, Y
 
-DECIMALS = 9
-"""The number of decimal places in a file. With 4, commonroad-io's default, positions would be up to 0.1 mm off."""
-PROBLEM, FIRST_LANELET = 1000, 1001
-"""Ids of the planning problem and of the first lanelet. Ids are unique in a file: the ego has 1, NPC 0 has 2."""
+DECIMALS = 9  # with 4, commonroad-io's default, positions would be up to 0.1 mm off
+PROBLEM, FIRST_LANELET = 1000, 1001  # ids are unique in a file: the ego has 1, NPC 0 has 2
+# The types of vehicles by the last words of their names. CommonRoad has none for vans, which become cars.
 TYPES = {"truck": ObstacleType.TRUCK, "motorcycle": ObstacleType.MOTORCYCLE}
-"""The types of vehicles by the last words of their names; CommonRoad has none for vans, which are cars there."""
-NO_DATE = b"2000-01-01"
-"""The date in every file instead of today's, so that equal runs give equal files."""
+NO_DATE = b"2000-01-01"  # replaces today's date, so that equal runs give equal files
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return a CommonRoad file with a time step per tick, and the ego's drive as its planning problem."""
+    """Return a CommonRoad file with a time step per tick, and the ego's trajectory as its planning problem."""
     scenario = Scenario(trace.dt)
     lanelets = []
     for number, lane in enumerate(trace.lanes, FIRST_LANELET):
@@ -51,6 +48,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         kind = trace.vehicle_type(vehicle).kind
         obstacle = TYPES.get(kind, ObstacleType.CAR)
         scenario.add_objects(DynamicObstacle(vehicle + 1, obstacle, shape, first, driven))
+    # The goal of the planning problem is the time of the last tick.
     end = max(trace.ticks, 1)
     goal = GoalRegion([CustomState(time_step=Interval(end, end))])
     writer = CommonRoadFileWriter(
@@ -75,7 +73,7 @@ def _first(state: FloatArray) -> InitialState:
 
 
 def _plain(state: FloatArray) -> dict[str, object]:
-    """Return the position [m], orientation [rad], velocity [m/s] and acceleration [m/s^2] of a vehicle at a tick."""
+    # The units are m, rad, m/s and m/s^2.
     orientation, velocity, acceleration = state[[HEADING, SPEED, ACCELERATION]].tolist()
     position = np.array(state[[X, Y]])
     return {

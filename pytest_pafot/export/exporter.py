@@ -28,7 +28,7 @@ from pytest_pafot.world.codec import of_named
 def states_of(trace: Trace) -> FloatArray:
     """Return the states of a trace with x ahead, y to the left and headings anticlockwise.
 
-    The columns are those of the trace; the shape is [ticks + 1, vehicles, 7].
+    The columns are those of the trace, shape [ticks + 1, vehicles, 7].
     """
     states = trace.states.copy()
     states[..., [Y, HEADING, STEERING]] *= -1
@@ -36,13 +36,12 @@ def states_of(trace: Trace) -> FloatArray:
 
 
 def centre_line(lane: Lane) -> FloatArray:
-    """Return the points of a lane's centre line [m], with y to the left; shape [points, 2], two for a straight lane.
-
-    On a closed track, a run may follow the lane for several laps. The line is cut to one lap, because tools would treat
-    a line that passes the same place twice as a loop, and remove it.
-    """
+    """Return the points of a lane's centre line [m], with y to the left; shape [points, 2]."""
+    # A straight lane has two points.
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
+    # On a closed track, a run may follow the lane for several laps. The line is cut to one lap, because tools would
+    # treat a line that passes the same position twice as a loop, and remove it.
     pieces, to_start = np.diff(line, axis=0), line[0] - line[:-1]
     share = (to_start * pieces).sum(axis=1) / (pieces**2).sum(axis=1)
     beside = np.hypot(*(to_start - share[:, None] * pieces).T)
@@ -59,7 +58,7 @@ def tangents(line: FloatArray) -> FloatArray:
 
 
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a lane's left edge and of its right edge [m], with y to the left; shape [points, 2] each."""
+    """Return the points of a lane's left and right edges [m], with y to the left; shape [points, 2] each."""
     line = centre_line(lane)
     left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
     return line + left, line - left
@@ -70,6 +69,7 @@ def name_of(vehicle: int) -> str:
     return f"npc{vehicle - 1}" if vehicle else "ego"
 
 
+# The module of this package, and the exporter in it, of each format.
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
         "commonroad": "commonroad_xml:export",
@@ -79,19 +79,18 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "xosc-1.0": "openscenario:export_1_0",
     }
 )
-"""The module of this package, and the exporter in it, of each format."""
 
+# The extra of pytest-pafot that installs a library, for each library that a format needs.
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
 )
-"""The extra of pytest-pafot that installs a library, for each library that a format needs."""
 
 
 class Exporter(Protocol):
     """The type of a function that turns a run of a finding into files."""
 
     def __call__(self, finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-        """Return the content of each file by the file's name, which begins with the finding's id; write nothing."""
+        """Return the content of each file by its name, which starts with the finding's id. Write nothing."""
 
 
 class ExportError(FieldError):
@@ -102,7 +101,7 @@ def exporter(name: str) -> Exporter:
     """Return the exporter for the name of a format.
 
     Raises:
-        ExportError: if the name is unknown, or if the library that the exporter needs cannot be imported.
+        ExportError: if the name is unknown, or a library is missing.
     """
     if name not in FORMATS:
         raise ExportError(field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name))
@@ -123,11 +122,11 @@ def exporter(name: str) -> Exporter:
 
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
-"""The columns, in s, m, rad, m/s and m/s^2. Lanes are numbered from 0 at the left; -1 is off the road."""
+"""The columns [s, m, rad, m/s, m/s^2]. Lanes are numbered from 0 at the left; -1 is off the road."""
 
 
 def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return a CSV file with all digits of the numbers, so that reading it gives exactly the states of the run."""
+    """Return a CSV file with all digits of the numbers, so that reading it gives exactly the same states."""
     rows = (
         [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
         for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)
@@ -138,22 +137,22 @@ def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    parser.add_argument("finding", metavar="FILE|FINDING", help="run this saved scenario: its file, or its id")
+    parser.add_argument("finding", metavar="FILE|FINDING", help="export this saved scenario, given by its file or id")
     of_to = f"write this format: {', '.join(FORMATS)}"
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
-    of_ads = "let this policy drive the ego: a module of example_ads, module:factory, or module:factory:argument"
+    of_ads = "drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)
-    add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
-    of_out = "write to this folder (default: the current one)"
+    add_world_arguments(parser, "needed if the world of the file is code, such as wrappers", has_config=False)
+    of_out = "write to this folder (default: the current folder)"
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
+    """Run the scenario of a finding, and write the run to files. Return the exit code."""
     export, saved = exporter(arguments.to), load(arguments.finding)
     if arguments.ads is None:
         expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
-        received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
+        received = "none; a file contains the instructions of the NPCs, but not the trajectories of the vehicles"
         raise ExportError(field="--ads", expected=expected, received=received)
     made = chosen_world(arguments.world, None, [arguments.ads])
     world = saved.world if made is None else of_named(saved.finding.world, made)
@@ -161,10 +160,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     error = driven.trace.error
     if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
         expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
-        fix = "give the policy of the test" + ("" if made is None else ", and its world, or no --world if that is data")
+        fix = "use the policy of the test" + ("" if made is None else ", and its world, or omit --world if it is data")
         raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
     files = export(saved.finding, driven.trace)
-    with postponed():  # one of several files is worth nothing alone, such as a scenario without its road
+    with postponed():  # one of several files is useless alone, such as a scenario without its road
         for name, content in files.items():
             with written_into(arguments.out):
                 write_whole(arguments.out / name, content)
@@ -175,6 +174,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         world_too = "" if arguments.world is None else ", and --world its world"
         sys.stderr.write(
             f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
-            f"{driven.duration:.1f} s. Is this the policy of its test{world_too}?\n"
+            f"{driven.duration:.1f} s. Did you pass the policy of its test{world_too}?\n"
         )
     return 0

@@ -26,11 +26,10 @@ from pytest_pafot.export.exporter import edges, name_of, states_of
 from pytest_pafot.findings.finding import Finding
 
 NANOSECONDS = 1_000_000_000
-HEIGHT = 1.5
-"""Height of the boxes that show vehicles [m]."""
+HEIGHT = 1.5  # height of the boxes that show vehicles [m]
 EGO, NPC, EDGE = Color(r=0.1, g=0.5, b=0.9, a=1), Color(r=0.9, g=0.4, b=0.1, a=1), Color(r=0.6, g=0.6, b=0.6, a=1)
+# The names of the columns of the states, in their order.
 NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
-"""Names of the columns of the states, in their order."""
 SCHEMA = {
     "type": "object",
     "properties": {
@@ -47,7 +46,7 @@ SCHEMA = {
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return an MCAP file whose clock starts at 0.
+    """Return an MCAP file with a clock that starts at 0.
 
     The topics ``/road`` and ``/vehicles`` are for a 3D panel, and ``/states`` is for plots.
     """
@@ -74,7 +73,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
 
 def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:
-    """Return the box that shows a vehicle in its state at a time [ns]."""
+    # The box that shows a vehicle at a time [ns].
     x, y, heading, *_ = state
     length, width = trace.sizes[number].tolist()
     cube = CubePrimitive(

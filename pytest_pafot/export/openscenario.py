@@ -1,4 +1,4 @@
-"""OpenSCENARIO XML 1.2 or 1.0 with OpenDRIVE: the road, and every vehicle on the trajectory that it drove."""
+"""OpenSCENARIO XML 1.2 or 1.0 with OpenDRIVE: the road, and the trajectory of every vehicle."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Lane, X, Y
 
 # OpenDRIVE: the lanes of a trace become roads. The file has the position of each lane, but no junctions between lanes.
 
-NO_DATE = "2000-01-01T00:00:00"
-"""The date in every file instead of today's, so that equal runs give equal files."""
+NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs give equal files
 
 
 def road_file(name: str, trace: Trace) -> bytes:
-    """Return an OpenDRIVE file: one road if all lanes are straight and adjacent, else a separate road for each lane."""
+    """Return an OpenDRIVE file: one road if all lanes are straight and adjacent, otherwise a road for each lane."""
     drive = xodr.OpenDrive(name)
     for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
         # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
@@ -43,7 +42,7 @@ def road_file(name: str, trace: Trace) -> bytes:
 
 
 def _are_one(lanes: Sequence[Lane]) -> bool:
-    """Return whether lanes are straight, start and end on one line, and each touches the previous one's right edge."""
+    # True if the lanes are straight, start and end together, and each touches the right edge of the previous one.
     first = lanes[0]
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2
@@ -61,14 +60,12 @@ def text_of(element: ElementTree.Element) -> bytes:
 
 
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
-    """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad].
-
-    Between two points of a bend, the piece is a cubic curve that has the line's direction at both points (Hermite).
-    """
+    """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad]."""
     line = centre_line(lane)
     if not lane.points:
         yield xodr.Line(lane.length), line[0], -lane.heading
         return
+    # Between two points of a bend, the piece is a cubic curve with the direction of the line at both points (Hermite).
     directions = tangents(line)
     for start, end, first, last in zip(line, line[1:], directions, directions[1:], strict=False):
         chord = end - start
@@ -82,20 +79,20 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
         yield cubic, start, math.atan2(first[1], first[0])
 
 
+# Distance of the rear axle behind the centre, as a fraction of the length. OpenSCENARIO uses the axle's position.
 REAR_AXLE = 0.3
-"""Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
+# The categories of vehicles by the last words of their names. Any other vehicle is a car with its own size.
 CATEGORIES = {
     "van": xosc.VehicleCategory.van,
     "truck": xosc.VehicleCategory.truck,
     "motorcycle": xosc.VehicleCategory.motorbike,
 }
-"""The categories of vehicles by the last words of their names; any other vehicle is a car, too, with its own size."""
+# Limits of speed [m/s] and acceleration [m/s^2], so high that every trajectory can be followed.
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
-"""A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
 
 
 def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
-    """Return a file in OpenSCENARIO 1.2 or another minor version, and the OpenDRIVE file to which it refers."""
+    """Return an OpenSCENARIO file of version 1.2 or another minor version, and its OpenDRIVE file."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0, minor))
@@ -133,16 +130,16 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
 
 
 def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return the files of :func:`export` in OpenSCENARIO 1.0, which CARLA's scenario_runner requires."""
+    """Return the files in OpenSCENARIO 1.0, which CARLA's scenario_runner requires."""
     return export(finding, trace, 0)
 
 
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
-    """Return the position of the middle of a vehicle's rear axle at each tick."""
+    # The middle of a vehicle's rear axle at each tick.
     heading = states[:, HEADING]
     back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    places = states[:, [X, Y]] - back
-    return [xosc.WorldPosition(x, y, 0, h) for (x, y), h in zip(places.tolist(), heading.tolist(), strict=True)]
+    positions = states[:, [X, Y]] - back
+    return [xosc.WorldPosition(x, y, 0, h) for (x, y), h in zip(positions.tolist(), heading.tolist(), strict=True)]
 
 
 def _vehicle(name: str, length: float, width: float, category: xosc.VehicleCategory) -> xosc.Vehicle:
@@ -167,6 +164,6 @@ def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition], 
 
 
 def _at(name: str, seconds: float, minor: int, triggers: str = "start") -> xosc.ValueTrigger:
-    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan  # 1.0 has no other that holds from then on
+    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan  # 1.0 has no other rule that stays true
     condition = xosc.SimulationTimeCondition(seconds, rule)
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)

@@ -1,1 +1,1 @@
-"""Findings as values: identity of failures, replays, severity and shrinking. No files."""
+"""Findings: identity of failures, replays, severity and shrinking."""

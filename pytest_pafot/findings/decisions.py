@@ -1,9 +1,10 @@
-"""The decision of an ADS that could have avoided a failure: which one it is, and what it rests on."""
+"""The decision of an ADS that could have avoided a failure."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
+# The parts of a planner's decision: the smallest difference that counts, and how each is shown.
 PARTS = {
     "acceleration": (0.2, "{:z.1f} m/s^2"),
     "steering": (0.02, "{:z.2f} rad"),
@@ -21,49 +23,35 @@ PARTS = {
     "lateral_acceleration": (0.2, "{:z.1f} m/s^2"),
     "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
-"""The parts of a planner's decision: the smallest difference that counts, and how each is shown."""
-SHARE = 0.05
-"""The smallest difference between two values of an action in an environment's own units."""
-CENTRED = 0.25
-"""The largest distance from the centre of a lane at which the ego drives along it [m]."""
-ALONG = DRIFTING / 10
-"""The sideways speed below which the ego drives along the road [m/s]."""
+SHARE = 0.05  # the smallest difference between two values of an action in an environment's own units
+CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego drives along it [m]
+ALONG = DRIFTING / 10  # the sideways speed below which the ego drives along the road [m/s]
+# The sideways speed, or change of it from one decision to the next, that no steering causes [m/s].
 STEADY = 0.003
-"""The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
+# The shortest time of a drift to a line [s]: a change of lanes starts slowly, too, but is over the line earlier.
 DRIFT_SECONDS = 3.0
-"""The least time of a drift to a line [s]: a change of lanes begins slowly, too, but is over the line earlier."""
+# The faults of an ego that should not have braked.
 NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
-"""The faults of an ego that should not have braked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """The last decision that could have avoided a failure: what the policy saw and answered, and what would change it.
+    """The last decision that could have avoided a failure."""
 
-    Attributes:
-        time: time of the decision [s].
-        npc: the vehicle that it is about, as an index in the scenario; None for none.
-        seen: where the policy saw the vehicle; empty if that is unknown.
-        was: where the vehicle was, if it is unknown whether the policy saw it; else empty.
-        action: what it answered.
-        hidden: what it answers with the vehicle hidden in this one decision: empty for the same, None if unknown.
-        otherwise: the smallest change of the vehicle, of those tried, with which it answers otherwise, and that answer;
-            empty if none of them changes the answer, None if none was tried.
-        reference: what the reference answered, if the test has one and this is the first decision that differs.
-        conditions: the conditions that the policy evaluated in this decision, each with its line in the source, its
-            values and its outcome, by whom they are about: first this vehicle, then none or an unknown one, then
-            others; an empty text if nothing is known of that. In a group, those that come out otherwise with that
-            change are first, then the others, the last one first.
-    """
-
-    time: float
-    npc: int | None
-    seen: str = ""
-    was: str = ""
-    action: str = ""
+    time: float  # time of the decision [s]
+    npc: int | None  # index of the vehicle that the decision is about; None for none
+    seen: str = ""  # where the policy saw the vehicle; empty if that is unknown
+    was: str = ""  # where the vehicle was, if it is unknown whether the policy saw it; otherwise empty
+    action: str = ""  # the action of the policy
+    # The action with the vehicle hidden in this one decision; empty for the same action, None if unknown.
     hidden: str | None = None
+    # The smallest tried change of the vehicle with which the policy decides differently, and that action; empty if no
+    # change had an effect, None if none was tried.
     otherwise: str | None = None
-    reference: str = ""
+    reference: str = ""  # the action of the reference, if the test has one and this is the first decision that differs
+    # The conditions that the policy evaluated, each with its line, values and outcome, by the vehicle that they are
+    # about: this one, then none or unknown, then others. First in each group are those with another outcome after the
+    # change in `otherwise`; the rest follow from the last to the first.
     conditions: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     def __str__(self) -> str:
@@ -71,7 +59,7 @@ class Moment:
         if self.hidden is not None and not self.reference:
             changed.insert(1, f"with {whom} hidden {self.hidden or 'the same'}")
         if self.otherwise == "" and not self.reference:
-            changed.append(f"no change of {whom} that was tried changes it")
+            changed.append(f"no change of {whom} that was tried has an effect")
         return f"{'; '.join(changed)}."
 
     @property
@@ -79,15 +67,15 @@ class Moment:
         """The decision in a sentence, with the smallest change that changes it."""
         at = f"At {self.time:.1f} s"
         if self.reference:
-            first = f"{at}, in the first decision that differs, the policy answered {self.action}"
+            first = f"{at}, in the first decision that differs, the policy chose {self.action}"
             return f"{first}, the reference {self.reference}."
         saw = f"saw NPC {self.npc} {self.seen}, and " if self.seen else ""
         was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
         otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
-        return f"{at} {was}the policy {saw}answered {self.action}{otherwise}."
+        return f"{at} {was}the policy {saw}chose {self.action}{otherwise}."
 
     def condition_lines(self) -> list[str]:
-        """Return the rows of the conditions, below whom they are about."""
+        # The rows of the conditions, below the vehicle that they are about.
         lines = []
         for whom, rows in self.conditions:
             lines += [*([f"{whom}:"] if whom else []), *(f"{'  ' if whom else ''}{row}" for row in rows)]
@@ -95,10 +83,9 @@ class Moment:
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:
-    """Return the NPC that a failure is about: the one that was hit, that a check names, or that was nearest then.
-
-    None without such a vehicle, such as for a collision with a fixed object, or a failure that is no check.
-    """
+    """Return the NPC that a failure is about, if there is one."""
+    # It is the one that was hit, that a check names, or that was nearest. There is none for a fixed object, or for a
+    # failure that is no check.
     if run.collision is not None and expect.check is None:
         return run.collision.npc
     if expect.npc is not None or expect.check is None:
@@ -109,13 +96,10 @@ def vehicle_of(run: Run, expect: Expect) -> int | None:
 
 
 def deciding(run: Run, expect: Expect) -> int | None:
-    """Return the number of the last decision that could have avoided a failure; None if none is known.
-
-    For a collision, it is the last decision from which a careful driver who takes over avoids it; the ego may brake
-    there, but too softly. If there is none, or the ego braked for nothing, it is the one at the time that the verdict
-    names. For a change of lanes it is the one that began the motion, or turned it back. For a failed check it is the
-    last one up to the check.
-    """
+    """Return the last decision that could have avoided a failure."""
+    # For a collision, it is the last decision at which a careful driver who takes over avoids it. If there is none, or
+    # the ego braked for nothing, it is the one at the time that the verdict names. For a change of lanes it is the one
+    # that started the motion, or turned it back. For a failed check it is the last one before the check.
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
 
@@ -134,7 +118,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
 
 
 def moved_over(run: Run) -> int | None:
-    """Return the number of the decision that began a change of lanes by which the ego is at fault; None without one."""
+    """Return the decision that started a change of lanes by a responsible ego."""
     trace, attribution = run.trace, run.attribution
     if attribution.fault != "entered-lane" or not trace.decision_ticks:
         return None
@@ -142,34 +126,28 @@ def moved_over(run: Run) -> int | None:
     return _begun(trace, attribution.tick or 0, last)
 
 
-def beginning(run: Run) -> str:
-    """Return in a few words when the ego began the change of lanes, or drift, by which it is at fault, else nothing."""
-    if (number := moved_over(run)) is None:
-        return ""
+def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
+    """Return the sentences that explain a run, with the decision that started a lane change of an ego at fault."""
+    sentences, number = expect.sentences_on(run), moved_over(run)
+    if not sentences or number is None:
+        return sentences
+    # No verdict knows the decisions, so its sentence on the lane change has only the time at the line.
     began = f"{run.trace.decision_ticks[number] / run.trace.physics_hz:.1f} s"
     is_drift = _drifted(run.trace, number, run.attribution.time or 0.0)
-    return f"the ego drifted from {began} on" if is_drift else f"the ego began to change lanes at {began}"
+    did = f"drifted from {began}" if is_drift else f"began to change lanes at {began}"
+    return (f"The ego {did} and {sentences[0].removeprefix('The ego ')}", *sentences[1:])
 
 
-def fact_on(run: Run) -> str:
-    """Return in a few words what the ego did that decides, for a headline; empty if it is not at fault.
-
-    For a change of lanes, or a drift over the line, it is the time of the decision that began it, by
-    :func:`moved_over`; else whether and how it braked.
-    """
-    if run.collision is None or run.responsibility not in ("ego", "both") or not run.attribution.sentences:
+def deed_of(run: Run, sentences: Sequence[str]) -> str:
+    """Return the sentence that states what the ego did wrong; empty if the ego is not at fault."""
+    if run.responsibility not in ("ego", "both") or len(sentences) < 2:  # a fixed object has only a verdict
         return ""
-    if began := beginning(run):
-        return f"{began}, over the line at {run.attribution.time or 0.0:.1f} s"
-    told = run.attribution.sentences[0 if run.attribution.fault in NEEDLESS else -1]
-    return f"{told[:1].lower()}{told[1:]}".removesuffix(".")
+    return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
 
 
 def _drifted(trace: Trace, number: int, crossed: float) -> bool:
-    """Return whether the ego only drifted from a decision on to a line: for long, and no faster than a vehicle wanders.
-
-    ``crossed`` is when the ego was over the line [s]. An ego that has answered another lane changes lanes.
-    """
+    # A drift takes long, and is no faster than a vehicle wanders. `crossed` is when the ego was over the line [s]. An
+    # ego that has chosen another lane changes lanes.
     begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
     lane = _lane_of(trace.actions[number], None) if number < len(trace.actions) else None
     if lane not in (None, trace.ego[begin, LANE]) or end - begin < DRIFT_SECONDS * trace.physics_hz:
@@ -178,11 +156,8 @@ def _drifted(trace: Trace, number: int, crossed: float) -> bool:
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:
-    """Return the number of the decision that began the motion with which the ego crosses a line at a tick.
-
-    ``number`` is that of the last decision up to the tick. After a motion to the other side, it is the decision that
-    turned back.
-    """
+    # `number` is the last decision up to the tick. After a motion to the other side, the decision that turned back
+    # started the motion.
     ticks = trace.decision_ticks
     drifts = frame_of(trace).drift[0]
     side = 1.0 if drifts[tick] > 0 else -1.0
@@ -207,7 +182,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
 
 
 def seen_of(trace: Trace, npc: int, number: int) -> str:
-    """Return where a vehicle was at a decision, relative to the ego."""
+    """Describe where a vehicle was relative to the ego."""
     ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
     turn = trace.road.direction_of_places(trace.decision_ticks[number])
     (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
@@ -216,11 +191,9 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
 
 
 def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
-    """Return a place relative to the ego in words, with the gap between two boxes along the road as a verdict has it.
-
-    ``ahead`` and ``right`` are between the centres [m], ``faster`` is in m/s; a box is a heading [rad], a length and a
-    width [m].
-    """
+    """Describe a position relative to the ego."""
+    # `ahead` and `right` are between the centres [m], and `faster` is in m/s. A box is a heading [rad], a length and a
+    # width [m]. The gap is the one of a verdict, between the boxes along the road.
     gap = abs(ahead)
     for angle, length, width in boxes:
         gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
@@ -231,11 +204,12 @@ def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float
 
 
 def differ(action: Any, other: Any) -> bool:
-    """Return whether two actions differ by more than a vehicle far away changes in the output of a network."""
+    """Return whether two actions differ noticeably."""
+    # A vehicle far away changes the output of a network a little.
     if other is None or type(action) is not type(other):
         return action is not other
     if is_planners(action):
-        return bool(told_parts(action, other))
+        return bool(differing_parts(action, other))
     here, there = _plain(action), _plain(other)
     if isinstance(here, float):
         return bool(abs(here - there) >= SHARE)
@@ -247,7 +221,6 @@ def differ(action: Any, other: Any) -> bool:
 
 
 def _plain(action: Any) -> Any:
-    """Return an action, or a part of one, as a float, a list, a dict of its parts, or as it is."""
     if isinstance(action, (np.ndarray, np.generic)):
         return action.tolist()
     if isinstance(action, tuple):
@@ -257,7 +230,7 @@ def _plain(action: Any) -> Any:
 
 
 def text_of_any(action: Any) -> str:
-    """Return an action of any kind in words, with three digits of each number."""
+    """Describe an action with three digits of each number."""
     plain = _plain(action)
     if isinstance(plain, float):
         return f"{plain:.3g}"
@@ -272,7 +245,7 @@ def text_of_any(action: Any) -> str:
 
 
 def is_planners(action: Any) -> bool:
-    """Return whether an action is a planner's: a pair in SI units, or a :class:`pytest_pafot.Drive`."""
+    """Return whether an action is a pair in SI units or a ``Drive``."""
     return is_si(action) or type(action).__module__ == "pytest_pafot.world.kernel.action"
 
 
@@ -281,19 +254,19 @@ def _lane_of(action: Any, otherwise: float | None) -> Any:
 
 
 def is_si(action: Any) -> bool:
-    """Return whether an action is a pair of acceleration [m/s^2] and steering angle [rad], as planners return it."""
+    """Return whether an action is (acceleration, steering) in SI units."""
     return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
 
 
 def parts_of(action: Any) -> dict[str, Any]:
-    """Return the named parts of a planner's decision, which is a pair or a :class:`pytest_pafot.Drive`."""
+    """Return the named parts of a planner's action."""
     if is_si(action):
         return dict(zip(("acceleration", "steering"), action, strict=True))
     return {field.name: getattr(action, field.name) for field in fields(action)}
 
 
-def told_parts(action: Any, other: Any) -> list[str]:
-    """Return the names of the parts in which a planner's decision differs from another one, else from its defaults."""
+def differing_parts(action: Any, other: Any) -> list[str]:
+    """Return the names of the parts in which an action differs from another one."""
     parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
         defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}

@@ -1,4 +1,4 @@
-"""A finding: a distinct failure with the scenario that shows it, as the corpus stores it; and what its replay means."""
+"""Findings as the corpus stores them, and what their replays mean."""
 
 from __future__ import annotations
 
@@ -55,11 +55,8 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 
 def portable(text: str, root: str = "") -> str:
-    """Replace everything in a text that differs between processes or between checkouts of the project.
-
-    Memory addresses become ``ADDRESS``, ids of processes and threads ``N``, and temporary folders ``TMP``. Paths become
-    relative to the project's folder ``root``, or to the folder in which packages are installed.
-    """
+    """Replace everything in a text that differs between processes or checkouts."""
+    # Paths become relative to the project's folder `root`, or to the folder of installed packages.
     if root:
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
@@ -72,19 +69,18 @@ MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
-RUNS = 10
-"""The number of runs, each with another seed, in which it is counted how often a policy fails."""
+RUNS = 10  # the number of runs, each with another seed, in which it is counted how often a policy fails
 
+# The number of failures from which on ten runs without a failure are a fix: with a proportion of 0.3, the chance that
+# none of them fails is 0.7 ** 10, less than 3 %.
 ENOUGH = 3
-"""The number of failures from which on ten runs without a failure are a fix: with a share of 0.3, the chance that none
-of them fails is 0.7 ** 10, less than 3 %."""
 
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounded:
-    """The value that a failed check measured, and its bounds [unit]; None for a bound that does not exist."""
+    """The value and the bounds of a failed check [unit]."""
 
     value: float | None = None  # None if it was not a finite number, or if its magnitude was above a billion
     at_most: float | None = None
@@ -96,34 +92,27 @@ class Bounded:
 class Expect:
     """The expected result of running the scenario while the failure is not fixed.
 
-    A corpus file has the fields in this order.
-
     Attributes:
         failure: name of the exception class; `ProcessCrash` if the process died or hung.
-        assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.verdict.Signature`.
-        check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
-        message: first line of the exception's message; empty if ``assertion`` already says it.
+        assertion: the normalised assertion, or the name of the failed check.
+        check: value and bounds of the failed check, or None.
+        message: first line of the exception's message; empty if ``assertion`` already states it.
         outcome: how the run ended.
-        time: time of the event [s]: the time of the failed check if it has a time, otherwise
-            :attr:`~pytest_pafot.oracle.run.Run.event_time`.
-        npc, cell: NPC and its cell at the collision, otherwise at the smallest time to contact; for a failed check
-            without a collision, the NPC that the check names, and no cell.
-        zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``.
+        time: time of the failed check, otherwise of the event [s].
+        npc, cell: the NPC and its cell at the collision, otherwise at the smallest time to contact. For a failed
+            check, the NPC that it names.
+        zone: zone in which the NPC crossed, such as ``crossing from the left``.
         side: side of the ego that was hit.
-        closing_speed: closing speed of the collision [m/s], which says how bad it is; None in files that do not store
-            it.
-        situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
-            up. None if no NPC was involved, and in files from older versions.
+        closing_speed: closing speed of the collision [m/s]; None if it is unknown.
+        situation: situation from which the failure arose, or None. A replay shows a fix only if it occurs again.
         responsibility: who is responsible for the collision.
-        fault: rule by which the ego is responsible.
-        mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
+        fault: rule that the ego broke.
+        mistake: what the ego did wrong, for the fault ``entered-lane``.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
-        takeover: the latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none of
-            the last 3 s does, None if it is unknown, or if the failure is no collision.
-        against: the reference that passed the scenario, such as ``module:factory``; empty
-            without a reference, or if it has no such name.
-        traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
-            folders.
+        takeover: latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none of
+            the last 3 s does, None if it is unknown.
+        against: the reference that passed the scenario, such as ``module:factory``, or empty.
+        traceback: traceback of an ADS that raised.
     """
 
     failure: str
@@ -149,17 +138,16 @@ class Expect:
 
     @property
     def is_crash(self) -> bool:
-        """True if the process that ran the scenario died."""
         return self.failure == PROCESS_CRASH
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
+        # The identity of the failure, as far as these fields determine it.
         return Signature.of(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
 
     @property
     def brief(self) -> str:
-        """The failure in a line: the check with its value and bound, the collision, or the error."""
+        """The failure on one line, such as the check with its value and bound."""
         if self.check is not None:
             told = {name: value for name, value in asdict(self.check).items() if name != "value"}
             value = math.nan if self.check.value is None else self.check.value
@@ -175,12 +163,12 @@ class Expect:
         return capitalised(impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed))
 
     def is_of(self, run: Run) -> bool:
-        """Return whether a run has the collision that this finding is about."""
+        """Return whether a run has the collision of this finding."""
         hit = run.collision
         return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        """Return the sentences that explain a run; if it has this collision, also what a careful driver avoids."""
+        # If the run has this collision, the last sentence is on what a careful driver avoids.
         told = run.sentences
         if self.takeover is None or not self.is_of(run):
             return told
@@ -196,12 +184,9 @@ class Expect:
         against: str = "",
         root: str = "",
     ) -> Expect:
-        """Record the result of a failing run in a form that is equal in every process: rounded times, portable texts.
-
-        Times are rounded to milliseconds. Paths in texts are relative to ``root``, the folder of the project.
-        """
+        # The result must be equal in every process, so times are rounded and texts are portable.
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
-        # An assertion says already what its message says. An error of the ADS is known by its message alone.
+        # An assertion already contains its message. An error of the ADS is known by its message alone.
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
         # The last lines say where it was raised. The text is cut before it is made portable, too, which saves time.
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
@@ -240,15 +225,15 @@ class Expect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """The origin of a finding: the search that found it and the versions it ran with.
+    """The origin of a finding.
 
     Attributes:
-        seed: seed of the search, derived from the base seed and the node id of the test; no value for ``--pafot-seed``.
-        generation: generation of the search that found it, counted from 0.
+        seed: seed of the search, which depends on the base seed and the test, and cannot be passed to ``--pafot-seed``.
+        generation: generation of the search that found the failure, from 0.
         algorithm: name of the search.
-        policy: name of the policy (:func:`~pytest_pafot.support.references.policy_name`); None if it is unknown.
-        worst_closing_speed: closing speed of the worst run of that search that failed alike [m/s]; None if the failure
-            is no collision.
+        policy: name of the policy; None if it is unknown.
+        worst_closing_speed: highest closing speed of the same failure in that search [m/s]; None without a
+            collision.
         versions: versions of the packages that the run depends on.
     """
 
@@ -260,13 +245,13 @@ class Found:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
+# The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`).
 IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
-"""The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureRate:
-    """The number of runs of one scenario, and how many of them fail."""
+    """The number of runs of one scenario, and of those that fail."""
 
     failing: int
     runs: int = RUNS
@@ -276,7 +261,8 @@ class FailureRate:
 
 
 def with_other_seed(scenario: Scenario, number: int) -> Scenario:
-    """Return a scenario in which a policy draws other numbers; ``number`` is 0 for the scenario itself."""
+    """Return a scenario in which a policy draws other numbers."""
+    # The number 0 is the scenario itself.
     return replace(scenario, seed=(scenario.seed + number) % (MAX_SEED + 1))
 
 
@@ -285,25 +271,20 @@ class Finding:
     """A finding, the content of one file of the corpus.
 
     Attributes:
-        id: name of the file without its suffix, of letters, digits, ``.``, ``_`` and ``-``. It is the slug of the
-            signature and the id of the scenario as first found, and never changes.
+        id: name of the file without its suffix, which never changes: letters, digits, ``.``, ``_`` and ``-``.
         test: node id of the test, including its parameters.
         scenario: the scenario that fails.
         world: the world in which the scenario fails, as plain data.
         expect: the expected result of running the scenario.
         found: the origin of the finding.
-        perception: sight of an ADS that sees imperfectly; None for perfect sight.
-        shrunk: the result of shrinking; None if the scenario was not shrunk.
-        rate: how many runs of the scenario fail, with other seeds, or of a flaky one with the same; None for a policy
-            that draws no random numbers.
-        flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
+        perception: limits and errors of the ADS's perception; None without any.
+        shrunk: the result of shrinking, or None.
+        rate: how many runs of the scenario fail, if the policy draws random numbers or the scenario is flaky;
+            otherwise None.
+        flaky: what differed when the scenario was run again, or None. A flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
-        xfail_until: the last day on which the failure is accepted; None without a reason.
-        trace: trace of the run that shows the failure, if a search in this process made it. It is part of neither the
-            identity nor the file of a finding.
-
-    Raises:
-        ValueError: for an invalid id, or a world that is not plain data.
+        xfail_until: the last day on which the failure is accepted, or None.
+        trace: trace of the run that shows the failure, if a search in this process made it.
     """
 
     id: str
@@ -322,17 +303,17 @@ class Finding:
 
     def __post_init__(self) -> None:
         if not is_id(self.id):
-            raise ValueError(f"id: expected letters, digits, '.', '_' and '-', at most 120, received {self.id!r}")
+            raise ValueError(f"id: expected at most 120 letters, digits, '.', '_' and '-', received {self.id!r}")
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
-        """Format the fields on one line that is safe to print, whatever text a file has put into them."""
+        # One line that is safe to print, even if a file contains control characters.
         shown = (f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr)
         return visible(f"Finding({', '.join(shown)})")
 
     @property
     def longest_run(self) -> float:
-        """The longest duration of a run in the finding's world [s]; infinite if the file has no duration."""
+        """The duration of a run in the finding's world [s], or infinity if it is unknown."""
         seconds = plain_number(self.world.get("duration"))
         return math.inf if seconds is None else seconds
 
@@ -343,12 +324,13 @@ class Finding:
 
     @property
     def drawn(self) -> str:
-        """The word for what differs between the runs of the rate: ``seeds`` of the scenario, or only the ``runs``."""
+        """What differs between the runs of the rate: ``seeds`` or ``runs``."""
+        # What differs between the runs of the rate.
         return "seeds" if self.flaky is None else "runs"
 
     @property
     def on_rate(self) -> str:
-        """A sentence on the rate; empty if there is none."""
+        """A sentence on the rate, or an empty string."""
         if self.rate is None:
             return ""
         other = "other " if self.flaky is None else ""
@@ -356,25 +338,26 @@ class Finding:
 
     @property
     def accepted(self) -> str:
-        """The reason why the failure is accepted, with its last day; empty if it is not accepted."""
+        """Why and until when the failure is accepted, or an empty string."""
         return "" if self.xfail is None else f"{self.xfail}, until {self.xfail_until}"
 
     def accepting(self, reason: str | None, until: date | None) -> Finding:
-        """Return the finding with another line ``xfail``."""
+        """Return the finding with a different value of ``xfail``."""
         return replace(self, xfail=reason, xfail_until=until)
 
     def is_accepted(self, today: date) -> bool:
-        """Return whether the failure is accepted on the day ``today``."""
+        """Return whether the failure is accepted on the given day."""
         return self.xfail_until is not None and today <= self.xfail_until
 
     @property
     def worst_known(self) -> float:
-        """The highest closing speed of a run that was known to fail like this [m/s]; infinite if none is known."""
+        """The highest known closing speed of this failure [m/s]."""
+        # Infinite if none is known.
         speeds = (self.expect.closing_speed, self.found.worst_closing_speed)
         return max((each for each in speeds if each is not None), default=math.inf)
 
     def with_sight(self, line: str) -> str:
-        """Return a line on the failure that also names the imperfect sight with which it was found."""
+        """Return a line on the failure that also names the imperfect perception."""
         return line if self.perception is None else f"{line}, found with {self.perception.described}"
 
     @classmethod
@@ -390,7 +373,7 @@ class Finding:
         against: str = "",
         root: str = "",
     ) -> Finding:
-        """Make a new finding from the run that showed it; its id derives from its signature and executed scenario."""
+        # The id is derived from the signature and the executed scenario.
         expect = Expect.of(run, failure, against=against, root=root)
         id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(
@@ -400,7 +383,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The time of a failure [s], and the NPC that it concerns with its cell or zone, if there is one."""
+    """The time of a failure [s], and the NPC with its cell or zone."""
 
     time: float
     npc: int | None = None
@@ -409,7 +392,7 @@ class FailureEvent:
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
-    """Return the time of a failure and its NPC: from the failed check if there is one, otherwise from the run."""
+    """Return the event of a failed check, otherwise of the run."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
@@ -422,7 +405,7 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
 
 
 def _rounded(value: float | None, digits: int) -> float | None:
-    """Round a number for a file: to ``digits`` decimals, or below 1 to ``digits`` significant digits."""
+    # From 1, to `digits` decimals; below 1, to `digits` significant digits.
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
@@ -434,15 +417,14 @@ def of_failure(run: Run, failure: Failure) -> Signature:
 
 
 def is_id(text: str) -> bool:
-    """Return whether a text can be a finding's id, and thus part of file names and node ids on every platform."""
+    """Return whether a text can be an id."""
+    # Ids are part of file names and node ids on every platform.
     return _ID.fullmatch(text) is not None and not text.endswith(".")
 
 
 def ads_failure(run: Run) -> Failure | None:
-    """Return the failure of the ADS itself, whatever the test function asserts; None if the ADS did not fail.
-
-    An ADS fails if it raises, returns no valid action, or hangs.
-    """
+    """Return the failure of the ADS itself, or None."""
+    # An ADS fails if it raises, returns no valid action, or hangs, whatever the test function asserts.
     error = run.ads_error
     if error is None:
         return None
@@ -450,12 +432,10 @@ def ads_failure(run: Run) -> Failure | None:
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
-    """Return the failure for an exception of a test function, with the source text of the statement that raised it.
-
-    If an ``assert`` failed, it is the statement, even in a helper module. Otherwise it is the last statement of the
-    test file in the traceback, so that changes in third-party libraries do not change a signature. ``test_file`` is the
-    path of the test file as in its code objects.
-    """
+    """Return the failure for an exception of a test function."""
+    # The assertion is the failed `assert` statement, even in a helper module. Without one it is the last statement of
+    # the test file in the traceback, so that changes in third-party libraries do not change a signature. `test_file` is
+    # the path in code objects.
     if isinstance(exception, CheckFailed):
         check = exception.check
         return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
@@ -474,17 +454,13 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
 
 
 def message_of(exception: BaseException) -> str:
-    """Return the text of an exception, or a placeholder if its ``__str__`` raises."""
+    """Return the text of an exception, even if ``__str__`` raises."""
     return str(traceback.TracebackException(type(exception), exception, None, compact=True))
 
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
-    """Refuse data that a file cannot store.
-
-    Raises:
-        ValueError: if a value contains anything but None, bool, int, float (not NaN), str, lists, and mappings with
-            short text keys; the message names the place.
-    """
+    """Raise a ValueError for data that a file cannot store."""
+    # The message names the position in the data.
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
         return
     if depth >= MAX_DEPTH:
@@ -492,26 +468,25 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if not isinstance(key, str) or len(key) > MAX_KEY:
-                raise ValueError(f"{name}: expected keys of text, at most {MAX_KEY} characters, received {key!r:.80}")
+                raise ValueError(f"{name}: expected strings of at most {MAX_KEY} characters as keys, not {key!r:.80}")
             check_plain(f"{name}.{key}", inner, depth + 1)
     elif isinstance(value, list):
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
         raise ValueError(
-            f"{name}: expected plain data (null, true/false, numbers, text, lists, mappings), "
-            f"received {type(value).__name__} {value!r:.60}; convert it"
+            f"{name}: expected plain data (null, true/false, numbers, strings, lists, mappings), "
+            f"received {type(value).__name__} {value!r:.60}. Convert it"
         )
 
 
 def _portable_line(failure: Failure, root: str) -> str:
-    """Return the first line of a failure's message, in portable form."""
     first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
     return portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
-    """Yield for each entry of a traceback the whole source text of its statement, which may be empty, and its file."""
+    # One source text and file for each entry of the traceback. A text may be empty.
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
         at = tb.tb_lasti // 2
@@ -525,33 +500,28 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 
 # The meaning of a replay: whether a run shows the failure of a file, and what a pass says about it.
 
+# Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run.
 SAME_PLACE = 0.5
-"""Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run."""
 
-SAME_TIME = 0.2
-"""Largest difference between the times of two events that count as the same event [s]."""
+SAME_TIME = 0.2  # largest difference between the times of two events that count as the same event [s]
 
+# The time for which a replay that passes continues after the end of its file's run [s]. A file ends shortly after
+# its failure, so a policy that only drives more slowly passes before it makes the same mistake.
 DRIVEN_ON = 10.0
-"""The time for which a replay that passes is driven on after the end of its file's run [s].
 
-A file ends shortly after its failure, so a policy that only drives more slowly passes before it makes the same mistake.
-"""
-
+# The largest difference [m/s] by which an accepted collision may be faster than the worst that was known.
 ACCEPTED_FASTER = 1.0
-"""The largest difference [m/s] by which an accepted collision may be faster than the worst that was known."""
 
+# Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment.
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
-"""Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
 
 
 def handles(finding: Finding, run: Run) -> bool:
-    """Return whether a run that passes handled what a file was saved for, so that the pass means something.
-
-    The situation from which the failure arose must have come up. If a collision that is no failure ends the run, it
-    must occur more than 2 s after the situation, and later after it than the saved failure did. For a file about a
-    collision, it must also be with a different NPC. For a file without a situation, no other event may end the run. A
-    failed check with a time is handled if the run continued beyond that time.
-    """
+    """Return whether a passing run handled the saved situation."""
+    # The situation must have occurred. If a collision that is no failure ends the run, it must be more than 2 s after
+    # the situation, and later after it than the saved failure was. For a file about a collision, it must also be with a
+    # different NPC. For a file without a situation, no other event may end the run. A failed check with a time is
+    # handled if the run continued after that time.
     expect = finding.expect
     if expect.is_crash:  # The process survived, whatever the run shows.
         return True
@@ -568,11 +538,8 @@ def handles(finding: Finding, run: Run) -> bool:
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a passing run did not handle the situation of a file; empty if it handled it, or if that is unknown.
-
-    Either the environment ended the run before the time of the failure, or the situation did not come up, or the ego
-    still collides with the file's NPC and the test accepts that.
-    """
+    """Return why a passing run did not handle the saved situation."""
+    # The result is empty if the run handled it, or if that is unknown.
     expect, hit, ended = finding.expect, run.collision, run.trace.ended
     if ended and not run.trace.users_error_text and run.duration < expect.time:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
@@ -584,10 +551,8 @@ def unhandled(finding: Finding, run: Run) -> str:
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
-    """Return whether a run shows the event that a file expects, within 0.2 s: the same contact or failed check.
-
-    A collision that is a ``failure`` may be at another time: it is the same with the same vehicle on the same side.
-    """
+    """Return whether a run shows the event of a file within 0.2 s."""
+    # A collision that is a `failure` may be at another time: it is the same with the same vehicle on the same side.
     if failure is not None and failure.kind != expect.failure:
         return False
     now, side = event_of(run, failure), None if run.collision is None else run.collision.side
@@ -600,24 +565,15 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
-    """Return whether a run fails as a file says, at whatever time: by the same mistake, or in the same check."""
+    """Return whether a run fails as a file states, at any time."""
     return of_failure(run, failure) == finding.signature
 
 
 def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
-    """Return how a failure goes beyond the one that a file describes; empty if accepting the file accepts it, too.
-
-    It must be the same assertion, check or exception, in a run that ends in the same way. A collision must be with the
-    same NPC, and not :func:`is_faster`. It may be at another time and in another cell, and somebody else may be
-    responsible.
-
-    Args:
-        finding: the saved finding.
-        run: the run of the replay.
-        failure: the failure of this run.
-        same_versions: False if the file was saved under other versions of the packages that a run depends on. They may
-            move vehicles, so that NPC and closing speed are not compared.
-    """
+    """Return how a failure goes beyond the accepted one, or an empty string."""
+    # It must be the same assertion, check or exception, in a run that ends in the same way. A collision must be with
+    # the same NPC and not faster. It may be at another time and in another cell, and another vehicle may be
+    # responsible. Other versions of packages may move vehicles, so then NPC and closing speed are not compared.
     then, now, hit = finding.signature, of_failure(run, failure), run.collision
     if now.failure != then.failure:
         return f"{now.failure} instead of {then.failure}"
@@ -635,42 +591,37 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
 
 
 def is_faster(severity: Severity | None, known: float) -> bool:
-    """Return whether a failure is a collision that accepting one with the closing speed ``known`` [m/s] excludes."""
+    """Return whether a collision is faster than an accepted one."""
     return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
 
 
 def speed_of(severity: Severity | None) -> float | None:
-    """Return the closing speed of a failure that is a collision, as in a file [m/s]; None for any other failure."""
+    """Return the closing speed of a failure as in a file [m/s]."""
     if severity is None or severity.kind != "collision" or severity.value is None:
         return None
     return round(severity.value, 3)
 
 
 def has_time(run: Run, failure: Failure) -> bool:
-    """Return whether a failure occurs at a time, so that it can be judged in a run that is driven on.
-
-    A check without a time and an assertion on a measure may be about the whole run, such as a distance, which grows
-    with the run.
-    """
+    """Return whether a failure occurs at a time."""
+    # Others cannot be evaluated in a run that continues: a check without a time and an assertion on a measure may be
+    # about the complete run, such as a distance, which increases with it.
     check = failure.check
     return not of_failure(run, failure).is_property if check is None else check.time is not None
 
 
 def ending(run: Run) -> str:
-    """Describe how a run ended: with an event at a time, or without an event after a duration."""
+    """Describe how a run ended."""
     if run.outcome in HAS_EVENT:
         return f"{run.outcome} at {run.event_time:.1f} s"
     return f"{run.outcome} {'for' if run.outcome is Outcome.SAFE else 'after'} {run.duration:.1f} s"
 
 
 def disagreement(first: Run, again: Run) -> str:
-    """Describe how two runs of one scenario differ, such as from two simulators; empty if they agree.
-
-    Two runs agree if both end with a collision with the same NPC in the same cell against the same side, or both
-    without a collision. The times of their ends may differ by 0.2 s, because numpy and the C library round some
-    functions differently on some processors. Without contact, no vehicle's positions in the two runs may ever be more
-    than half a metre apart along x or y.
-    """
+    """Describe how two runs of one scenario differ, or return an empty string."""
+    # They agree if both end with a collision with the same NPC in the same cell against the same side, or both without
+    # one. Times may differ by 0.2 s, because numpy and the C library round some functions differently on some
+    # processors. Without contact, no positions may ever differ by more than half a metre along x or y.
     if first.outcome != again.outcome:
         return f"{ending(first)}, then {ending(again)}"
     if first.collision is not None and again.collision is not None:

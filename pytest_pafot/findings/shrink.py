@@ -1,12 +1,9 @@
-"""Shrinking: the search for the simplest scenario in which the same property fails with the same signature.
-
-After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and
-MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that defines "simpler",
-one gate before each run, and passes that are repeated until none of them helps. Small scenarios are also tried
-directly, because single steps often do not lead to them.
-
-This module does not simulate: :func:`shrink` yields questions about candidates, and its caller sends the answers.
-"""
+"""The search for the simplest scenario with the same failure."""
+# After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and MacIver
+# and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that defines "simpler", one gate
+# before each run, and passes that are repeated until none of them helps. Small scenarios are also tried directly,
+# because single steps often do not lead to them. This module does not simulate: `shrink` yields questions about
+# candidates, and its caller sends the answers.
 
 from __future__ import annotations
 
@@ -41,38 +38,34 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.model.vehicle_type import CAR, HOSTILE, PAPERS, STYLES, VehicleType
 from pytest_pafot.support.text import plural
 
-Start = tuple[int, float]
-"""The ego's lane and speed [m/s] when a gene begins."""
+Start = tuple[int, float]  # the ego's lane and speed [m/s] when a gene starts
 
+# The answer to an attempt: the scenario as executed, and the start of each gene, empty if unknown. None if the run does
+# not fail in the same way.
 Shown = tuple[Scenario, tuple[Start, ...]] | None
-"""The answer to an attempt: the scenario as driven, and the start of each gene, empty if unknown.
-
-None if the run does not fail in the same way.
-"""
 
 
 class Attempt(NamedTuple):
-    """The question whether a candidate fails in the same way, which is answered with a run.
+    """The question whether a candidate fails in the same way."""
 
-    ``best`` is the simplest failing scenario so far.
-    """
+    # A run answers it. `best` is the simplest failing scenario so far.
 
     candidate: Scenario
     best: Scenario
 
 
 class Likely(NamedTuple):
-    """The question whether a small scenario is likely to fail in the same way, which is answered with a bool."""
+    """The question whether a small scenario is likely to fail."""
 
     candidate: Scenario
     best: Scenario
 
 
 class Ahead(NamedTuple):
-    """The next candidates to be attempted if the ones before them do not fail, so that they can run at the same time.
+    """The next candidates if the earlier ones do not fail."""
 
-    Unless there are ``more`` of them, earlier ones that were not attempted will not be. Nothing is answered.
-    """
+    # They can run at the same time. Unless there are `more`, earlier ones that were not attempted will not be. It needs
+    # no answer.
 
     candidates: Sequence[Scenario]
     more: bool
@@ -80,35 +73,35 @@ class Ahead(NamedTuple):
 
 ResultT = TypeVar("ResultT")
 
+# A part of shrinking that yields questions, is sent their answers, and returns a result.
 Asking = Generator[Attempt | Likely | Ahead, Any, ResultT]
-"""A part of shrinking that yields questions, is sent their answers, and returns a result."""
 
+# The scenarios that a pass tries; None stands for a change that gives no valid scenario.
 Candidates = Iterator[Scenario | None]
-"""The scenarios that a pass tries; None stands for a change that gives no valid scenario."""
 
 Pass = Callable[[Scenario], Candidates]
 
+# The number of NPCs and the number of instructions of a scenario, and its chains.
 Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
-"""The number of NPCs and the number of instructions of a scenario, and its chains."""
 
+# Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module.
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
-"""Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module."""
 
+# Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it.
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
-"""Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it."""
 
+# The largest number of small scenarios of which one pass asks whether they are likely to fail: each answer takes
+# about a millisecond. Any beginning of their list has scenarios of each kind.
 MOST_SMALL = 300
-"""The largest number of small scenarios of which one pass asks whether they are likely to fail: each answer takes about
-a millisecond. Any beginning of their list has scenarios of each kind."""
 
+# A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes.
 FIRST_PART = 10
-"""A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes."""
 
+# The largest number of simplifications that are tried together with a second simplification.
 MOST_FIRST_STEPS = 40
-"""The largest number of simplifications that are tried together with a second simplification."""
 
+# 2**64 divided by the golden ratio: any number of its multiples is spread evenly modulo 2**64.
 GOLDEN = 0x9E3779B97F4A7C15
-"""2**64 divided by the golden ratio: any number of its multiples is spread evenly modulo 2**64."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,12 +110,9 @@ class Shrunk:
 
     Attributes:
         rollouts: number of runs used.
-        is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The candidates
-            are: each single step of the passes; each small scenario (one NPC with one or two instructions, or two NPCs
-            with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
-            slots), of a collision only some, which are likely to fail; and pairs of a limited number of steps. It says
-            nothing about other scenarios.
-        before: the size of the scenario as found in words (:func:`described`), if shrinking has replaced it.
+        is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The
+            candidates are single steps of the passes, small scenarios, and some pairs of steps.
+        before: size of the scenario before shrinking, in words.
     """
 
     rollouts: int
@@ -131,64 +121,55 @@ class Shrunk:
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
-    """No runs are left, or no time for further runs."""
+    """A lack of runs, or of time for more."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
-    """Return the key that defines "simpler": the scenario with the smaller key is simpler, compared from the left.
-
-    1. The number of NPCs, because a reader has to understand each of them.
-    2. The number of instructions to read: equal instructions in a row are read as one, except changes of lanes.
-    3. The number of moves to a different cell or lane, because staying is simpler. For an NPC that crosses, 1 if it
-       holds or stops, because passing is simpler.
-    4. The number of NPCs in lanes, because a cell says where an NPC is, whereas the start of an NPC in lanes depends on
-       the other NPCs.
-    5. The number of NPCs that are no cars.
-    6. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
-    7. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
-       other duration.
-    8. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
-       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths.
-    9. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
-       from 0 instead of its speed.
-    10. The traffic: the paper's is simplest, because it adds no rules.
-    11. The seed of the repair: 0 is simplest.
-
-    Every part is a non-negative integer, so every chain of simplifications ends.
-    """
+    """Return the key that defines "simpler", compared from the left."""
     parts = [chain[start] for chain in scenario.npcs for start, _ in _parts(chain)]
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
+    # Every number is a non-negative integer, so every chain of simplifications ends.
     return (
+        # A reader has to understand each NPC, and then each instruction. Equal ones in a row are read as one.
         len(scenario.npcs),
         len(parts),
+        # Staying is simpler than moving, and passing a zone is simpler than holding or stopping.
         sum(map(_moves, scenario.npcs)),
+        # A cell says where an NPC is, whereas the start of an NPC in lanes depends on the other NPCs.
         sum(not chain[0].on_grid and not chain[0].crosses for chain in scenario.npcs),
         sum(vehicle != CAR for vehicle in scenario.vehicles),
+        # The longest chain decides how long the run takes.
         scenario.genes,
         sum(map(len, scenario.npcs)),
+        # The usual start is simplest, then round speeds.
         (scenario.ego_lane != EGO_LANE)
         + (scenario.ego_speed != EGO_SPEED and 1 + roughness(start))
         + (scenario.gene_seconds != GENE_SECONDS),
+        # Multiples of 5 m/s are simpler than whole numbers, and these than tenths. For slots, whole seconds are simpler
+        # than halves, and halves than tenths.
         sum(roughness(_tenths(each)) + each.roughness for each in parts),
+        # Slower is simpler, and so is a slot nearer to 0.
         sum(each.weight for each in parts),
+        # The paper's traffic adds no rules.
         int(scenario.traffic != PAPERS),
         scenario.seed,
     )
 
 
 def instructions(scenario: Scenario) -> int:
-    """Return the number of instructions to read; equal instructions in a row are read as one."""
+    """Return the number of instructions to read."""
+    # Equal instructions in a row are read as one.
     return sort_key(scenario)[1]
 
 
 def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """Return the size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
+    """Return the size in words: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
     return f"{npcs}, {told}, {round(min(scenario.seconds, longest_run), 1):g} s"
 
 
 def described(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """Return the size of a scenario and its traffic in words: ``2 NPCs, 7 instructions, 60 s, paper traffic``."""
+    """Return the size and the traffic in words."""
     return f"{size_of(scenario, longest_run)}, {scenario.traffic} traffic"
 
 
@@ -202,21 +183,18 @@ def shrink(
     ahead: int = 0,
     asks_likely: bool = False,
 ) -> Asking[tuple[Scenario, Shrunk]]:
-    """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
-
-    No candidate is attempted twice, and equal answers lead to the same questions in the same order. To end the search
-    early, throw :class:`OutOfBudget` into this generator, at each attempt from then on.
+    """Return the simplest scenario found that fails in the same way, and statistics.
 
     Args:
-        scenario: failing scenario, as driven.
+        scenario: failing scenario, as executed.
         rollouts: largest number of attempts.
         top_speed: highest speed of any instruction [m/s].
-        plain: preferred start of the ego; None for no preference.
-        plain_seconds: preferred duration of a gene [s]; None for no preference.
-        ahead: number of candidates to be announced before the first of them is attempted. It changes nothing in the
-            result.
-        asks_likely: True if small scenarios are attempted only if they are :class:`Likely` to fail.
+        plain, plain_seconds: preferred start of the ego and duration of a gene [s].
+        ahead: number of candidates to announce before the first is attempted.
+        asks_likely: True to attempt small scenarios only if they are :class:`Likely` to fail.
     """
+    # No candidate is attempted twice, and equal answers lead to the same questions in the same order. To end the search
+    # early, throw OutOfBudget into this generator, at each attempt from then on. `ahead` changes nothing in the result.
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
     low = min(round(STYLES[scenario.traffic].least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
@@ -249,17 +227,15 @@ def shrink(
             is_minimal = not (is_simpler or (yield from gate.exhausts(_two_steps)))
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
-        # only once, even if the passes used up their budget: they do not start again
+        # Only once, even if the passes used up their budget: they do not start again.
         yield from gate.exhausts(_papers_traffic)
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal)
 
 
 @dataclass(slots=True, kw_only=True)
 class _Gate:
-    """The only place that attempts candidates: one must be valid, simpler than the best, and not tried before.
-
-    Two scenarios are equal if their canonical texts are equal: speeds in tenths, cells from 1 to 8.
-    """
+    # The only place that attempts candidates: one must be valid, simpler than the best, and not tried before. Two
+    # scenarios are equal if their canonical texts are equal.
 
     best: Scenario
     rollouts: int
@@ -268,10 +244,10 @@ class _Gate:
     tried: dict[Scenario, Scenario | None]
     ahead: int
     spent: int = 0
-    starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)  # of failing scenarios as driven
+    starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)  # of failing scenarios as executed
 
     def simplifies(self, candidate: Scenario | None) -> Asking[bool]:
-        """Return whether a candidate fails in the same way and is simpler; if so, it becomes the best."""
+        # If the candidate fails in the same way and is simpler, it becomes the best.
         if candidate is None or sort_key(candidate) >= sort_key(self.best):
             return False
         driven = yield from self.driven(candidate)
@@ -281,7 +257,7 @@ class _Gate:
         return True
 
     def exhausts(self, candidates: Pass, *, asks_likely: bool = False) -> Asking[bool]:
-        """Repeat a pass until it finds no simpler scenario; return whether it found any."""
+        # Repeats a pass until it finds no simpler scenario. The result is whether it found any.
         found, skipped = False, 0
         while True:
             place = yield from self._first(candidates(self.best), skipped, asks_likely=asks_likely)
@@ -291,10 +267,8 @@ class _Gate:
             found, skipped = found or place is not None, place or 0
 
     def _first(self, candidates: Candidates, skipped: int, *, asks_likely: bool) -> Asking[int | None]:
-        """Return the place of the first candidate, after a number of them, that simplifies; None if none does.
-
-        Candidates that will be attempted if the ones before them do not fail are announced.
-        """
+        # The index of the first candidate that simplifies. Candidates that follow if the ones before them do not fail
+        # are announced.
         place, read, told = -1, deque[tuple[int, Scenario | None]](), set[Scenario | None]()
         if self.ahead:
             yield Ahead((), more=False)
@@ -327,11 +301,7 @@ class _Gate:
         return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
 
     def driven(self, candidate: Scenario) -> Asking[Scenario | None]:
-        """Return the candidate as driven if it fails in the same way, otherwise None.
-
-        Raises:
-            OutOfBudget: if the result is not known yet and no runs or no time are left.
-        """
+        # The candidate as executed if it fails in the same way, otherwise None.
         if not self._is_allowed(candidate):
             return None
         if candidate not in self.tried:
@@ -342,16 +312,15 @@ class _Gate:
             self.tried[candidate] = None
             if shown is not None:
                 driven, self.starts[driven] = shown
-                self.tried[candidate] = self.tried[driven] = driven  # repair does not change a driven scenario
+                self.tried[candidate] = self.tried[driven] = driven  # repair does not change an executed scenario
         return self.tried[candidate]
 
 
 def _on_grid(scenario: Scenario) -> Candidates:
-    """Let all NPCs in lanes, then each of them, drive on the grid: with the same moves from the cell of its start.
-
-    An NPC in lanes starts in a different cell if another NPC is removed, so that it often takes the others to put it
-    into its place. On the grid it needs none of them. The cells are right only if all eight exist around the ego.
-    """
+    """Make NPCs in lanes drive on the grid."""
+    # First all NPCs in lanes, then each of them, with the same moves from the cell of its start. An NPC in lanes starts
+    # in a different cell if another NPC is removed, so that it often needs the others. On the grid it needs none of
+    # them. The cells are right only if all eight exist around the ego.
     free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
     chains = list(scenario.npcs)
     for npc, chain in enumerate(chains):
@@ -373,7 +342,7 @@ def _alone(scenario: Scenario) -> Candidates:
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
-    """Try each NPC without the others, then remove several NPCs with consecutive indices, the most first."""
+    # Each NPC alone, then without several NPCs with consecutive indices, the most first.
     npcs = range(len(scenario.npcs))
     yield from _alone(scenario)
     for start, end in _slices(len(npcs), len(npcs) - 1):
@@ -381,7 +350,7 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _cars(scenario: Scenario) -> Candidates:
-    """Let all NPCs be cars, then each of them that is something else."""
+    """Make all NPCs cars, then only one NPC at a time."""
     kinds = scenario.vehicles
     others = [npc for npc, kind in enumerate(kinds) if kind != CAR]
     if others:
@@ -391,14 +360,14 @@ def _cars(scenario: Scenario) -> Candidates:
 
 
 def _ending(scenario: Scenario) -> Candidates:
-    """Remove the end of the scenario, most of it first."""
+    # Remove the end of the scenario, most of it first.
     most = scenario.genes - 1
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
 
 
 def _shorter(scenario: Scenario) -> Candidates:
-    """Remove the end of the scenario, then any other stretch of time, long stretches first."""
+    # Remove the end of the scenario, then any other interval, long ones first.
     yield from _ending(scenario)
     for start, end in _slices(scenario.genes, scenario.genes - 1):
         cut = (chain if chain[0].crosses else chain[:start] + chain[end:] for chain in scenario.npcs)
@@ -406,7 +375,8 @@ def _shorter(scenario: Scenario) -> Candidates:
 
 
 def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
-    """Start at a later gene, with the ego's lane and speed at the start of that gene; the latest gene first."""
+    """Start at a later gene."""
+    # The latest gene comes first. The ego starts with its lane and speed at the start of that gene.
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
         lasting = [npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene]
         if not lasting:  # a run lasts longer than its chains where the world says how long runs are
@@ -417,7 +387,8 @@ def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Ca
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
-    """Give the ego the preferred start, then only its lane, then only its speed or a rounder speed."""
+    """Give the ego a simpler start."""
+    # The preferred start, then only its lane, then only its speed or a rounder speed.
     if plain is None:
         return
     yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
@@ -429,10 +400,9 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
 
 
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
-    """Give genes the preferred duration, with the same instructions at the same times.
-
-    If no instruction has a duration, it has no effect, so try the usual one.
-    """
+    """Give genes the preferred duration."""
+    # The same instructions at the same times. If no instruction has a duration, it has no effect, so the usual one is
+    # tried.
     if all(chain[0].crosses for chain in scenario.npcs):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
         return
@@ -443,14 +413,15 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
-    """Remove a stretch of one NPC's chain, long ones first; after its last gene an NPC keeps its lane and speed."""
+    # Long parts come first. After its last gene an NPC keeps its lane and speed.
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _slices(len(chain), len(chain) - 1):
             yield _with_chain(scenario, npc, chain[:start] + chain[end:])
 
 
 def _merged(scenario: Scenario) -> Candidates:
-    """Let the first or the last instruction of a stretch of a chain take over the stretch; long stretches first."""
+    """Extend an instruction over others."""
+    # The first or the last instruction of a part of a chain replaces the others in that part.
     for npc, chain in enumerate(scenario.npcs):
         parts = _parts(chain)
         for first, last in _slices(len(parts) - 1, len(parts) - 1):
@@ -460,7 +431,8 @@ def _merged(scenario: Scenario) -> Candidates:
 
 
 def _staying(scenario: Scenario) -> Candidates:
-    """Let an NPC stay in its previous cell or lane from one gene to the end of the chain or of that gene's block."""
+    """Make an NPC stay."""
+    # An NPC stays in its previous cell or lane from one gene to the end of the chain or of the gene's block.
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in _parts(chain):
             before = chain[gene - 1] if gene else None
@@ -472,14 +444,16 @@ def _staying(scenario: Scenario) -> Candidates:
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """Let an NPC drive through its zone instead of holding at its line or stopping in the zone."""
+    """Make NPCs pass their zones."""
+    # An NPC passes its zone instead of holding at its line or stopping in the zone.
     for npc, instruction in enumerate(scenario.crossings):
         if instruction is not None and instruction.act != "pass":
             yield _with_chain(scenario, npc, (replace(instruction, act="pass"),))
 
 
 def _rounder(scenario: Scenario) -> Candidates:
-    """Try for each speed the next multiples of 5 m/s, then of 1 m/s, below and above."""
+    """Round each speed."""
+    # The next multiples of 5 m/s, then of 1 m/s, below and above.
     for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -488,14 +462,15 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 
 def _slower(scenario: Scenario) -> Candidates:
-    """Reduce each speed to 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies."""
+    """Reduce each speed."""
+    # To 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies.
     for npc, start, end, speed in _all_blocks(scenario):
         for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].crosses else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
 def _plainer(scenario: Scenario) -> Candidates:
-    """Try the simpler slots of each NPC that crosses."""
+    """Try simpler slots."""
     for npc, instruction in enumerate(scenario.crossings):
         for simpler in () if instruction is None else instruction.plainer():
             yield _with_chain(scenario, npc, (simpler,))
@@ -507,7 +482,8 @@ def _plain_seed(scenario: Scenario) -> Candidates:
 
 
 def _papers_traffic(scenario: Scenario) -> Candidates:
-    """Replace hostile traffic, which is the default, by the paper's; the other styles stay."""
+    """Replace hostile traffic by the paper's."""
+    # Only hostile traffic, which is the default; the other styles stay.
     if scenario.traffic == HOSTILE:
         yield replace(scenario, traffic=PAPERS)
 
@@ -516,20 +492,17 @@ STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, 
 
 
 def passes() -> tuple[Pass, ...]:
-    """Return all passes, which are repeated until none finds a simpler scenario. The first ones shorten runs most."""
+    """Return all passes, first those that shorten runs most."""
     return (*STRUCTURE, _plainer, _rounder, _slower, _plain_seed)
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
-    """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
-
-    There are thousands of them, of which very few fail. With ``is_limited``, only some of those are tried that have
-    fewer NPCs or instructions than the scenario: the passes find those of the same size, too.
-
-    Their NPCs are cars; if the scenario has another vehicle, also all of them are the first other one. They are on the
-    grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that cross, try only
-    one NPC that crosses in a zone of the scenario.
-    """
+    """Try small scenarios."""
+    # One NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts. There
+    # are thousands of them, and very few fail. With `is_limited`, only some are tried that have fewer NPCs or
+    # instructions than the scenario: the passes find those of the same size, too. The NPCs are cars, or all of them are
+    # the first other vehicle of the scenario. They are on the grid, in turn with the scenario's other kinds of
+    # instructions. For a scenario with NPCs that cross, only one NPC that crosses in one of its zones is tried.
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
@@ -557,11 +530,8 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
 
 @lru_cache(maxsize=16)
 def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
-    """Return the numbers of NPCs and instructions, and the chains, of every small scenario.
-
-    The order is mixed, so that any beginning of the list has scenarios of each kind. If the most promising ones are
-    listed first, a limited number of runs finds less.
-    """
+    # Numbers of NPCs and instructions, and chains. The order is mixed, so that any part from the start of the list has
+    # scenarios of each kind. With the most promising ones first, a limited number of runs finds less.
     ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
     twos = [(first, *_lasting(second, length - 1)) for first, second in permutations(genes, 2) if length > 1]
     small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
@@ -570,7 +540,8 @@ def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
-    """Apply two simplifications at once, if neither works alone; begin with the smallest simplifications."""
+    """Apply two simplifications at once."""
+    # Two simplifications together, if neither works alone, starting with the smallest ones.
     firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
@@ -578,27 +549,27 @@ def _two_steps(scenario: Scenario) -> Candidates:
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
-    """Yield [start, end) of slices of length ``most``, one after the other, then half as long, and so on down to 1."""
+    # [start, end) of slices of length `most`, one after the other, then half as long, and so on down to 1.
     while most > 0:
         yield from ((start, start + most) for start in range(0, length - most + 1, most))
         most //= 2
 
 
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the NPC, [start, end) and the speed in tenths of m/s of each instruction to read."""
+    # The NPC, [start, end) and the speed in tenths of m/s of each instruction to read.
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _parts(chain):
             yield npc, start, end, _tenths(chain[start])
 
 
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
-    """Return [start, end) of each instruction to read: equal ones in a row, and each change of lanes on its own."""
+    # Equal instructions in a row are one part. Each change of lanes is one.
     starts = [0, *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene]))]
     return list(pairwise([*starts, len(chain)]))
 
 
 def _lasting(instruction: Instruction, genes: int) -> Chromosome:
-    """Return an instruction that lasts several genes; an NPC changes lanes only in the first of them."""
+    # An NPC changes lanes only in the first of several genes.
     return (instruction, *(instruction.afterwards,) * (genes - 1))
 
 
@@ -617,7 +588,7 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 def _valid(
     scenario: Scenario, npcs: tuple[Chromosome, ...], vehicles: tuple[VehicleType, ...] | None = None
 ) -> Scenario | None:
-    """Return the scenario with other chains, and with other vehicles if given; or None if they break a rule."""
+    # None if the chains or vehicles break a rule
     try:
         return replace(scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles)
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
@@ -625,7 +596,7 @@ def _valid(
 
 
 def _moves(chain: Chromosome) -> int:
-    """Count changes of cell, changes of lane, and 1 for an NPC that crosses but does not pass."""
+    # Changes of cell or lane, and 1 for an NPC that crosses but does not pass.
     return sum(each.moves(before) for before, each in zip((None, *chain), chain, strict=False))
 
 

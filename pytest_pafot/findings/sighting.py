@@ -1,4 +1,4 @@
-"""A finding as a session saw it, when its search found it or when its saved scenario was replayed."""
+"""A finding as a session saw it, new or replayed."""
 
 from __future__ import annotations
 
@@ -15,99 +15,74 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import plural
 
+# The word in which a session says what happened to a saved scenario.
 Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
-"""The word in which a session says what became of a saved scenario."""
+# The word for a new finding, and for one that does not count because the reference fails as often.
 New = Literal["new", "no worse"]
-"""The word for a new finding, and for one that does not count because the reference fails as often."""
 
+# The titles of the groups of findings in a summary, new ones and those with a label, the most urgent group first.
 GROUPS: Mapping[str, str] = MappingProxyType({
     "new": "New",
-    "no worse": "New, but no worse: the reference fails as often, elsewhere",
+    "no worse": "New, but no worse: the reference fails as often, in other scenarios",
     "error": "Could not be read or run",
     "still failing": "Known, still failing",
-    "drifted": "Drifted: the run differs from the file, so this is no fix",
+    "drifted": "Drifted: the run differs from the file, so nothing is fixed",
     "flaky": "Flaky",
     "accepted": "Accepted for now",
+    "passes (found in another scenario)": "Pass, but a search found the same failure in another scenario",
     "passes": "Pass, and no search of this session looked for the same failure",
-    "fixed": "Fixed",
+    "passes (not found again)": "Pass, and a search did not find the same failure again",
 })  # fmt: skip
-"""The titles of the groups of findings in a summary, new ones and those with a label, the most urgent group first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """The facts that the run of a new finding or the runs of a replay showed, and those that its session adds.
+    """The facts that the runs of a finding in a session showed."""
 
-    Attributes:
-        new: ``new`` for a new finding, ``no worse`` if it does not count in a comparison; empty for a replay.
-        is_error: True if the file could not be read, or its scenario not be run.
-        fails: True if a run fails, or its process dies.
-        is_same: True if it fails as the file says.
-        is_later: True if only the second run failed, which is driven on after the end of the file.
-        is_unsteady: True if its runs differ, other than by the chance that a rate measures.
-        is_handled: True if a run passes, and the situation of the file came up in it.
-        is_elsewhere: True if it was run under other versions, in another world than the test's, or with another sight.
-        is_rare: True if the failure of the file occurs by chance, and so rarely that ten passing runs show no fix.
-        is_accepted: True if the file accepts its failure today.
-        beyond: how it goes beyond the failure that the file would accept; empty if it does not.
-        reference_passes: whether the reference passes the same scenario; None without a reference.
-        against: the reference that a replay is compared with; empty without one.
-        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
-        before: severity with the reference of a replay; None if there is none.
-        sentences: who did what in a collision; empty without one, and until an item reports it.
-        searched: number of runs of the search of its test that found no such failure, if it passes and that search ran
-            to its end in this session; otherwise 0.
-        drawn: number of random scenarios among these.
-        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
-        rate: how often it fails now; None unless the file has a rate.
-        note: a text on the time after the file's end, or on the rate; empty if nothing is to be said.
-        is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
-            drive on in its own process, and die.
-        has_drawn: whether the policy drew random numbers in the run that showed a new finding.
-        run: the run that shows the failure; the first run if all of them pass; None if the process died or hung.
-        verdict: the verdict on that run; None in another process than that of the item.
-    """
-
+    # `new` for a new finding, `no worse` if it does not count in a comparison; empty for a replay.
     new: New | Literal[""] = ""
-    is_error: bool = False
-    fails: bool = False
-    is_same: bool = False
-    is_later: bool = False
-    is_unsteady: bool = False
-    is_handled: bool = False
+    is_error: bool = False  # the file could not be read, or its scenario could not be run
+    fails: bool = False  # a run fails, or its process dies
+    is_same: bool = False  # it fails as the file states
+    is_later: bool = False  # only the second run failed, which continues after the end of the file
+    is_unsteady: bool = False  # the runs differ, other than by the chance that a rate measures
+    is_handled: bool = False  # a run passes, and the situation of the file occurred in it
+    # It was run under other versions, in another world than the test's, or with another perception.
     is_elsewhere: bool = False
-    is_rare: bool = False
-    is_accepted: bool = False
-    beyond: str = ""
-    reference_passes: bool | None = None
-    against: str = ""
-    severity: Severity | None = None
-    before: Severity | None = None
-    sentences: tuple[str, ...] = ()
+    is_rare: bool = False  # the failure occurs by chance, and so rarely that ten passing runs show no fix
+    is_accepted: bool = False  # the file accepts its failure today
+    beyond: str = ""  # how the failure goes beyond the one that the file would accept, or empty
+    reference_passes: bool | None = None  # whether the reference passes the same scenario; None without a reference
+    against: str = ""  # the reference that a replay is compared with, or empty
+    severity: Severity | None = None  # None if it passes, nothing measures it, or there is no run
+    before: Severity | None = None  # severity with the reference of a replay, or None
+    sentences: tuple[str, ...] = ()  # who did what in a collision; empty until an item reports it
+    # Number of runs of a complete search of this session that found no such failure, if the replay passes; otherwise 0.
     searched: int = 0
-    drawn: int = 0
-    elsewhere: str = ""
-    rate: FailureRate | None = None
-    note: str = ""
+    drawn: int = 0  # number of random scenarios among `searched`
+    elsewhere: str = ""  # id of the finding of this search that fails as the file states, or empty
+    rate: FailureRate | None = None  # how often it fails now; None unless the file has a rate
+    note: str = ""  # a text on the time after the file's end, or on the rate
+    # A process died or hung in that time. Then the crash record must stay, or the next session would continue in its
+    # own process, and die.
     is_lost: bool = False
+    # The policy drew random numbers in the run that showed a new finding.
     has_drawn: bool = field(default=False, compare=False, repr=False, metadata=IN_MEMORY)
+    # The run that shows the failure, or the first of passing runs; None if the process died or hung.
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+    # The verdict on that run; None in another process than the item's process.
     verdict: Verdict | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
     def ran(self) -> tuple[Run, Verdict]:
-        """The run and the verdict on it.
-
-        Raises:
-            ValueError: if the process of the run died or hung, or in another process than that of the item.
-        """
+        """The run and its verdict, or a ValueError if this process has none."""
         if self.run is None or self.verdict is None:
-            raise ValueError(f"run: expected one that came to its end in this process, received {self!r:.100}")
+            raise ValueError(f"run: expected a run that finished in this process, received {self!r:.100}")
         return self.run, self.verdict
 
 
 def label(observed: Observed) -> Label | New:
-    """Return the label of a finding. Nothing else decides it."""
+    """Return the label of a finding, which nothing else decides."""
     if observed.new:
         return observed.new
     if observed.is_error:
@@ -127,27 +102,21 @@ def label(observed: Observed) -> Label | New:
     return "fixed" if observed.searched else "passes"
 
 
+# How the difference starts of a policy that drives the same scenario in different ways.
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
-"""How the difference begins of a policy that drives the same scenario in different ways."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alike:
-    """The runs of a search that failed like a finding.
+    """The runs of a search with the same failure as a finding."""
 
-    Attributes:
-        runs: the number of the runs; in what is seen of a finding, of all but the one that it was found in.
-        number: the number of the worst of all these runs in the search, from 0.
-        severity, least: how bad the worst one was, and the mildest; None if nothing measures it.
-    """
-
-    runs: int = 0
-    number: int = 0
-    severity: Severity | None = None
-    least: Severity | None = None
+    runs: int = 0  # their number; in what is seen of a finding, without the run that it was found in
+    number: int = 0  # number of the worst run in the search, from 0
+    severity: Severity | None = None  # severity of the worst run; None if nothing measures it
+    least: Severity | None = None  # severity of the mildest run, or None
 
     def __add__(self, other: Alike) -> Alike:
-        """Return these runs and others, which come after these."""
+        # The other runs come after these.
         is_worse = other.severity is not None and (self.severity is None or self.severity < other.severity)
         worst, least = other if is_worse else self, min(filter(None, [self.least, other.least]), default=None)
         return replace(worst, runs=self.runs + other.runs, least=least)
@@ -155,70 +124,55 @@ class Alike:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """A finding as this session saw it, new or replayed. All reports of a session are written from it.
+    """A finding as this session saw it."""
 
-    As an event of a search it reports a new finding. The event is repeated with each detail that becomes known; only
-    the last event of a finding is valid.
+    # All reports of a session are written from it. As an event of a search it is repeated with each detail that becomes
+    # known, and only the last event of a finding is valid.
 
-    Attributes:
-        finding: the content of its file.
-        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
-        test: node id of the test of a replayed one, as it is in this session.
-        observed: what the run of a new finding or the runs of a replay showed, from which its label follows.
-        headline: how the run failed; empty if it passes.
-        path: path of its file; empty if a new finding has none.
-        detail: why a new finding has no file, or its file lacks what shrinking changed, or why the finding does not
-            count; or what differs from the file of a replayed one; may be empty.
-        unshrunk: why a new finding is not yet fully shrunk; empty if it is.
-        moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        alike: the runs of the search that failed like a new finding.
-    """
-
-    finding: Finding
-    node_id: str
-    test: str = ""
-    observed: Observed = field(default_factory=Observed)
-    headline: str = ""
-    path: str = ""
+    finding: Finding  # the content of the file
+    node_id: str  # node id of the item that replays it, in this session or, for a new one, from the next session
+    test: str = ""  # node id of the test of a replay, as it is in this session
+    observed: Observed = field(default_factory=Observed)  # the facts of its runs, which determine the label
+    headline: str = ""  # how the run failed; empty if it passes
+    path: str = ""  # path of the file; empty if a new finding has none
+    # Why a new finding has no file, an incomplete one, or does not count; or what differs from a replay's file.
     detail: str = ""
-    unshrunk: str = ""
+    unshrunk: str = ""  # why a new finding is not yet fully shrunk, or empty
+    # The last decision that could have avoided it; None if it is unknown or was not examined.
     moment: Moment | None = None
-    alike: Alike = field(default_factory=Alike)
+    alike: Alike = field(default_factory=Alike)  # the runs of the search with the same failure as a new finding
 
     @property
     def id(self) -> str:
-        """The name of its file without the suffix."""
+        """The id of the finding."""
         return self.finding.id
 
     @property
     def run(self) -> Run | None:
-        """The run of the scenario; None if its process died or hung, and in another process than that of the item."""
+        """The run of the scenario, or None if this process has none."""
         return self.observed.run
 
     @property
     def raised(self) -> BaseException:
-        """The exception of a new finding.
-
-        Raises:
-            ValueError: for a replay that passes, or in another process than that of the search.
-        """
+        """The exception of a new finding, if this process has it."""
         if self.observed.verdict is None or self.observed.verdict.exception is None:
             raise ValueError(f"seen: expected a new finding in the process of its search, received {self.id!r}")
         return self.observed.verdict.exception
 
     @property
     def severity(self) -> Severity | None:
-        """The severity of the failure; None if it passes, nothing measures it, or there is no run."""
+        """The severity of the failure, or None without a measure."""
         return self.observed.severity
 
     @property
     def rank(self) -> tuple[float | str, ...]:
-        """The key that sorts findings: the worst first, then those with the most runs."""
+        """The key that sorts findings, the worst first."""
+        # The worst come first, then those with the most runs.
         return *Severity.worst_first(self.responsible, self.severity), -self.alike.runs, self.node_id
 
     @property
     def responsible(self) -> str:
-        """The side that is responsible for the collision, as in its file."""
+        """The side that is responsible for the collision, as in the file."""
         return self.finding.expect.responsibility
 
     @property
@@ -233,20 +187,20 @@ class Seen:
 
     @property
     def is_as_saved(self) -> bool:
-        """True if its run failed as its file says: of a new finding, or of a replay that fails alike."""
+        """True if the run failed as the file states."""
+        # For a new finding, or a replay with the same failure.
         return bool(self.observed.new) or self.observed.is_same
 
     @property
     def is_firm(self) -> bool:
-        """True if its scenario is expected to give the same run each time."""
+        """True if the scenario gives the same run each time."""
+        # The scenario is expected to give the same run each time.
         return not (self.is_flaky or self.is_timed or self.finding.expect.is_crash)
 
     @property
     def is_random(self) -> bool:
-        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn.
-
-        If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
-        """
+        """True if the policy draws random numbers."""
+        # If a finding is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
         is_other = (self.finding.flaky or "").startswith((NOT_REPEATED, ENDED_OTHERWISE))
         has_drawn = is_other or (self.observed.has_drawn and not self.is_flaky)
         return (self.finding.rate is not None or has_drawn) and not (self.is_timed or self.finding.expect.is_crash)
@@ -257,8 +211,15 @@ class Seen:
         return label(self.observed)
 
     @property
+    def result(self) -> str:
+        """The label in the words of summaries, which report only what was observed."""
+        is_elsewhere = self.label == "still failing" and not self.observed.fails
+        words = "found in another scenario" if is_elsewhere else "not found again" * (self.label == "fixed")
+        return f"passes ({words})" if words else str(self.label)
+
+    @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
-        """The comparison of a replay with that of its reference; empty if that is not known, or nothing changed."""
+        """How a replay compares with the reference, or an empty string."""
         now = self.observed
         if now.reference_passes is None or now.is_unsteady:
             return ""
@@ -268,13 +229,11 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """The words on where the search of its test found the failure of a replay that passes, or in how many runs not.
-
-        Some of the runs are random. The text is empty for any other replay, and without a search.
-        """
+        """Where the search found the failure of a passing replay, or an empty string."""
+        # Otherwise in how many runs it did not. Some of these runs are random.
         searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
         if elsewhere or not searched:
-            return elsewhere and f"elsewhere: {elsewhere} fails in the same way"
+            return elsewhere and f"{elsewhere} fails in the same way"
         if not drawn:
             return f"no such failure in {plural(searched, 'run')}"
         others = f"; nor in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
@@ -282,7 +241,7 @@ class Seen:
 
     @property
     def worst(self) -> str:
-        """The worst of the runs that failed like it; empty if none was worse than the finding itself."""
+        """The worst other run with this failure, or an empty string."""
         worst, number, own = self.alike.severity, self.alike.number, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""
@@ -290,7 +249,7 @@ class Seen:
 
     @property
     def impacts(self) -> str:
-        """The range of closing speeds, or of a check's excess, of the runs that failed like it; empty without one."""
+        """The range of severities of runs with this failure, or an empty string."""
         worst, least = self.alike.severity or self.severity, self.alike.least or self.severity
         if worst is None or least is None or None in (worst.value, least.value):
             return ""
@@ -300,7 +259,7 @@ class Seen:
 
     @property
     def remark(self) -> str:
-        """Remarks on the finding, such as that it is flaky; empty if there are none."""
+        """Remarks on the finding, such as that it is flaky."""
         flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))

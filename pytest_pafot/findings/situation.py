@@ -1,12 +1,8 @@
-"""The situation from which a failure arose, and the check whether this situation comes up in a different run.
-
-There are two reasons why a saved scenario passes: the policy now handles the situation, or the situation no longer
-comes up. NPCs drive to places relative to the ego, so a situation is an NPC's place relative to the ego shortly before
-the ego's mistake. A reaction of the ego, such as braking earlier, must not change whether the situation came up.
-
-With an NPC that crosses, a situation is the times at which the NPC and the ego would arrive at the zone in which their
-ways meet.
-"""
+"""The situation from which a failure arose."""
+# There are two reasons why a saved scenario passes: the policy now handles the situation, or the situation no longer
+# occurs. NPCs drive to positions relative to the ego, so a situation is an NPC's position relative to the ego shortly
+# before the ego's mistake. A reaction of the ego, such as braking earlier, must not change whether the situation
+# occurred. With an NPC that crosses, a situation is the times at which the NPC and the ego would arrive at their zone.
 
 from __future__ import annotations
 
@@ -27,40 +23,37 @@ from pytest_pafot.oracle.run import Run
 # The tolerances were chosen by replaying failures of policies with seeded defects, both with the repaired policies and
 # with policies that avoid the situation; docs/explanation/findings.md explains what they mean.
 
-BEFORE = 2.0
-"""The situation of a failure without a collision is taken this time before the failure [s]."""
+BEFORE = 2.0  # the situation of a failure without a collision is taken this time before the failure [s]
+# All runs start alike, so a situation comes up in these first seconds [s] only if the saved situation was in them.
 START = 4.0
-"""All runs start alike, so a situation comes up in these first seconds [s] only if the saved situation was in them."""
+# An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane.
 HALF_LANE = 0.5
-"""An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane."""
 PLACE = 5.0
+# Two positions of an NPC are near each other if they differ by up to 5 m, or by 25 % of the distance to the ego.
 PLACE_SHARE = 0.25
-"""Two places of an NPC are near each other if they differ by up to 5 m, or by 25 % of the distance to the ego."""
+# Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s].
 SPEED = 3.0
-"""Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s]."""
+# The NPC's own speed may differ by up to 3 m/s instead, if the ego's speed differs by up to this [m/s].
 EGO_SPEED = 9.0
-"""The NPC's own speed may differ by up to 3 m/s instead, if the ego's speed differs by up to this [m/s]."""
 REACH = 20.0
+# A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther
+# away. ``REACH`` is in metres, ``REACH_FACTOR`` has no unit.
 REACH_FACTOR = 2.0
-"""A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther away.
-
-``REACH`` is in metres, ``REACH_FACTOR`` has no unit.
-"""
+# A leader must be slower than the ego by this proportion of the saved difference, or by that difference minus 3 m/s.
 SLOWER_SHARE = 0.6
-"""A leader must be slower than the ego by this share of the saved difference, or by that difference minus 3 m/s."""
+# A leader is compared with the ego's highest speed in these last seconds [s]: an ego that responds also slows down.
 ANSWER = 10.0
-"""A leader is compared with the ego's highest speed in these last seconds [s]: an ego that responds also slows down."""
 ARRIVAL = 1.0
+# Two times to a zone are near each other if they differ by up to 1 s, or by half of the saved time.
 ARRIVAL_SHARE = 0.5
-"""Two times to a zone are near each other if they differ by up to 1 s, or by half of the saved time."""
+# A time to a zone uses the highest speed of these last seconds [s], because an ego that gives way slows down.
 APPROACH = 3.0
-"""A time to a zone uses the highest speed of these last seconds [s], because an ego that gives way slows down."""
+# The lowest speed that is assumed for a vehicle's time to a zone [m/s]; a standing vehicle would never arrive.
 LEAST_SPEED = 0.1
-"""The lowest speed that is assumed for a vehicle's time to a zone [m/s]; a standing vehicle would never arrive."""
 
 
 def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSituation | None:
-    """Return the situation from which a failure at a time [s] arose; None if the failure does not concern an NPC."""
+    """Return the situation from which a failure arose, or None."""
     npc = run.event_npc
     if failure.check is not None:
         npc = failure.check.npc
@@ -74,41 +67,29 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
 
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
-    """Return the tick at which the cause of the collision begins; None without a collision, or if it is unknown."""
+    """Return the tick at which the cause of a collision starts, or None."""
     return None if run.collision is None or failure.check is not None else run.attribution.tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """The place of an NPC relative to the ego at one moment, and the speeds of both.
+    """The position of an NPC relative to the ego at one moment."""
 
-    Attributes:
-        npc: the NPC's index in the scenario.
-        time: time of the moment [s].
-        gap: gap between the bumpers of the two along the road [m]; negative by how far they are side by side.
-        place: ``ahead`` if the NPC's centre is ahead of the ego's, ``behind`` otherwise.
-        lanes_to_right: number of lanes from the ego's lane to the NPC's to the right; negative to the left.
-        ego_speed: speed of the ego along the road [m/s].
-        npc_speed: speed of the NPC along the road [m/s]. For a leader, which is ahead in the ego's lane, it is the
-            lowest speed from the moment to the failure.
-    """
-
-    npc: int
-    time: float
-    gap: float
-    place: Literal["ahead", "behind"]
-    lanes_to_right: int
-    ego_speed: float
+    npc: int  # index of the NPC in the scenario
+    time: float  # time of the moment [s]
+    gap: float  # gap between the bumpers along the road [m]; negative by the overlap if they are side by side
+    place: Literal["ahead", "behind"]  # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
+    lanes_to_right: int  # number of lanes from the ego's lane to the NPC's lane; negative to the left
+    ego_speed: float  # along the road [m/s]
+    # Along the road [m/s]. For a leader, ahead in the ego's lane, it is the lowest speed from the moment to the
+    # failure.
     npc_speed: float
 
     @classmethod
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        """Return the situation from which a failure at a time [s] arose that concerns an NPC that does not cross.
-
-        The moment is when the ego made its mistake (:func:`tick_of_mistake`); if that is unknown, 2 s before ``time``.
-        If the ego was changing lanes then, or braking for nothing, it is the last moment before it began to. Otherwise,
-        if the NPC entered the ego's lane only later, it is the moment at which the NPC was in the lane.
-        """
+        # The moment is the time of the ego's mistake; if that is unknown, 2 s before the failure. If the ego was then
+        # changing lanes, or braking for nothing, it is the last moment before the ego started to. Otherwise, if the NPC
+        # entered the ego's lane only later, it is the moment at which the NPC was in the lane.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
         tick = end if mistake is None else mistake
@@ -141,10 +122,9 @@ class Situation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick: along the road, in lanes, and in speeds.
-
-        The shape is [3, ticks + 1], the unit is the tolerance: if all three are at most 1, the situation came up.
-        """
+        """Return how far a run is from the situation at each tick."""
+        # Along the road, in lanes and in speeds, in units of the tolerance, shape [3, ticks + 1]. The situation
+        # occurred if all three are at most 1.
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)  # between the centres
@@ -178,32 +158,22 @@ class Situation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneSituation:
-    """The times until a crossing NPC and the ego arrive at their zone, at one moment, and the speeds of both.
+    """The times until a crossing NPC and the ego reach their zone."""
 
-    The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative for a
-    vehicle in the zone or behind it.
+    # The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative for
+    # a vehicle in the zone or after it.
 
-    Attributes:
-        npc: the NPC's index in the scenario.
-        time: time of the moment [s].
-        npc_enters, ego_enters: time from the moment until the vehicle's centre is at the beginning of the zone [s].
-        ego_speed, npc_speed: speed of the vehicle along its way [m/s].
-    """
-
-    npc: int
-    time: float
-    npc_enters: float
-    ego_enters: float
-    ego_speed: float
-    npc_speed: float
+    npc: int  # index of the NPC in the scenario
+    time: float  # time of the moment [s]
+    npc_enters: float  # time from the moment until the NPC's centre is at the start of the zone [s]
+    ego_enters: float  # time from the moment until the ego's centre is at the start of the zone [s]
+    ego_speed: float  # along the ego's path [m/s]
+    npc_speed: float  # along the NPC's path [m/s]
 
     @classmethod
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        """Return the situation from which a failure at a time [s] arose that concerns a crossing NPC.
-
-        The moment is when the ego made its mistake (:func:`tick_of_mistake`); if that is unknown, 2 s before ``time``.
-        If the mistake is about the zone, it is 2 s before the mistake, because the mistake is to enter the zone.
-        """
+        # The moment is the time of the ego's mistake; if that is unknown, 2 s before the failure. If the mistake is to
+        # enter the zone, the moment is 2 s before the mistake.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
             since = round(time * trace.physics_hz) if mistake is None else mistake
@@ -224,10 +194,8 @@ class ZoneSituation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick: in the two times, and in the NPC's speed.
-
-        The shape is [3, ticks + 1], the unit is the tolerance: if all three are at most 1, the situation came up.
-        """
+        # In the two times and the NPC's speed, in units of the tolerance, shape [3, ticks + 1]. The situation occurred
+        # if all three are at most 1.
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
         ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
         pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
@@ -235,19 +203,18 @@ class ZoneSituation:
         return np.stack((ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED))
 
     def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run was nearest to the situation."""
         return self._at(int((self.distances(trace) ** 2).sum(axis=0).argmin()), trace, self.npc)
 
     def __str__(self) -> str:
         npc, ego = (
-            f"{abs(time):.1f} s {'from' if time >= 0 else 'past the beginning of'}"
+            f"{abs(time):.1f} s {'from' if time >= 0 else 'past the start of'}"
             for time in (self.npc_enters, self.ego_enters)
         )
         return f"{npc} its zone at {self.npc_speed:.1f} m/s, with the ego {ego} it at {self.ego_speed:.1f} m/s"
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
-    """Return at each tick the time until the ego and a crossing NPC would arrive at the start of their zone [s]."""
+    # One row for the ego and one for the NPC [s].
     zone, on_way = trace.zones[npc], trace.on_way
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
@@ -257,13 +224,13 @@ def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
-    """Return for each tick the highest speed within the last ``seconds`` [m/s]."""
+    # Within the last `seconds`.
     ticks = round(seconds * trace.physics_hz)
     return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
 
 
 def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> float | None:
-    """Return how long a run continued after a situation first came up [s]; None if it never did, or that is unknown."""
+    """Return how long a run continued after a situation first occurred [s]."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
@@ -271,26 +238,23 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
 
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
-    """Return a sentence that a situation did not come up in a run, and how near the run was; empty if it came up.
-
-    The text is also empty if the situation is unknown.
-    """
+    """Return a sentence that a situation did not occur, or an empty string."""
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)
     return (
-        f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; this time the "
-        f"nearest to that was {now}, after {now.time:.1f} s"
+        f"the situation did not occur: NPC {situation.npc} was {situation}, before the saved run failed; in this run, "
+        f"the NPC came closest to this when it was {now}, after {now.time:.1f} s"
     )
 
 
 def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool:
-    """Return whether a run has finite positions, and its NPC crosses if and only if the situation is at a zone."""
+    # Positions must be finite, and the NPC crosses if and only if the situation is at a zone.
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
 
 
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:
-    """Return how far an NPC is to the right of the ego at each tick, in widths of the ego's lane."""
+    # In widths of the ego's lane.
     widths = np.array([lane.width for lane in trace.lanes])
     return np.asarray(frame.right[npc] / widths[np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)])

@@ -1,8 +1,4 @@
-"""The verdict of a test function on a run, with the identity of a failure and its severity.
-
-Two failures are the same if all fields of their signatures are equal. So hundreds of collisions come down to a handful
-of findings.
-"""
+"""The verdict of a test function on a run."""
 
 from __future__ import annotations
 
@@ -32,91 +28,72 @@ _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
+# The name of the failure of a run whose process died, so that no exception names it.
 PROCESS_CRASH = "ProcessCrash"
-"""The name of the failure of a run whose process died, so that no exception names it."""
 
+# The name of the failure of a check; its assertion is the name of the check.
 CHECK_FAILED = CheckFailed.__name__
-"""The name of the failure of a check; its assertion is the name of the check."""
 
+# Attributes of a run that concern the collision: an assertion that uses one is about the collision.
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "sentences", "explain"}
 )  # fmt: skip
-"""Attributes of a run that concern the collision: an assertion that uses one is about the collision."""
 
+# Faults that are about a zone; the place of the contact inside the zone does not matter.
 AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
-"""Faults that are about a zone; the place of the contact inside the zone does not matter."""
 
+# The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into few groups.
 ZONES = tuple(
     f"{kind} from {'the ' if origin in ('left', 'right') else ''}{origin}"
     for kind in get_args(Kind)
     for origin in get_args(Origin)
 )
-"""The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into few groups."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """The reason why a run fails.
+    """The reason why a run fails."""
 
-    Attributes:
-        kind: name of the exception class.
-        message: message of the exception.
-        assertion: source text of the failing assertion; empty if it is unknown.
-        traceback: traceback worth saving in the file, such as that of an ADS that raised; otherwise empty.
-        check: the check that failed, whose name is also in ``assertion``; None if something else failed.
-    """
-
-    kind: str
-    message: str = ""
-    assertion: str = ""
-    traceback: str = ""
-    check: Check | None = None
+    kind: str  # name of the exception class
+    message: str = ""  # message of the exception
+    assertion: str = ""  # source text of the failing assertion; empty if it is unknown
+    traceback: str = ""  # traceback worth saving in the file, such as of an ADS that raised; otherwise empty
+    check: Check | None = None  # the failed check, with its name also in `assertion`; None if something else failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signature:
-    """The identity of a failure; two failures are the same if all fields are equal.
+    """The identity of a failure: two failures with equal fields are the same."""
 
-    A failed check is identified by its name, and an assertion that is not about the collision by its text. The end of
-    the run and the places of the NPCs depend on the traffic; they would split one property into many failures. For the
-    same reason, a collision that the ego is responsible for is identified only by the ego's mistake, and at a zone also
-    by the zone's kind and the NPC's origin. Any other collision is identified by its place and its manoeuvres.
+    # A failed check is identified by its name, and an assertion that is not about the collision by its text. The end of
+    # the run and the positions of the NPCs depend on the traffic; they would split one property into many failures. For
+    # the same reason, a collision for which the ego is responsible is identified only by the ego's mistake, and at a
+    # zone also by the zone's kind and the NPC's origin. Any other collision is identified by its position and its
+    # manoeuvres. So hundreds of collisions become a few findings.
 
-    Attributes:
-        failure: name of the exception class.
-        assertion: the failing assertion (:func:`normalised`), without file, line, numbers and addresses.
-        outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
-        responsibility: ``ego`` if it is responsible for the collision, alone or with the NPC; ``npc``; ``none``.
-        mistake: what the ego did wrong; None if it is not responsible for a collision.
-        fault: the rule by which the ego is responsible; it is not compared, and only used for the :attr:`slug`.
-        side: side of the ego that was hit; None without a collision, or if there is a fault.
-        cell: cell of the NPC at the collision; None without a collision, or if there is a fault.
-        zone: zone in which the NPC crossed the ego's way (:func:`zone_in_words`); None if it did not cross, or if there
-            is a fault that is not about a zone.
-        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision, or if there is
-            a fault.
-        worse_than: in a search, the id of the accepted file of the same failure, if the collision is faster than all
-            that were known when it was accepted (:meth:`.Finding.worst_known`); otherwise None.
-    """
-
-    failure: str
-    assertion: str
-    outcome: Outcome
-    responsibility: Responsibility
-    mistake: Mistake | None = None
+    failure: str  # name of the exception class
+    assertion: str  # the normalised assertion, without file, line, numbers and addresses
+    outcome: Outcome  # how the run ended; `safe` for a property
+    responsibility: Responsibility  # `ego` if it is responsible for the collision, alone or with the NPC; `npc`; `none`
+    mistake: Mistake | None = None  # what the ego did wrong; None if it is not responsible for a collision
+    # The rule by which the ego is responsible, only for the slug.
     fault: Fault | None = field(default=None, compare=False, repr=False)
-    side: Side | None = None
-    cell: Cell | None = None
+    side: Side | None = None  # side of the ego that was hit; None without a collision, or if there is a fault
+    cell: Cell | None = None  # cell of the NPC at the collision; None without a collision, or if there is a fault
+    # Zone in which the NPC crossed; None if it did not, or for a fault that is not about a zone.
     zone: str | None = None
+    # Shortly before the collision; None without a collision, or if there is a fault.
     npc_manoeuvre: Manoeuvre | None = None
-    ego_manoeuvre: Manoeuvre | None = None
+    ego_manoeuvre: Manoeuvre | None = None  # like `npc_manoeuvre`
+    # In a search, the id of the accepted file of the same failure, if this collision is faster than all that were known
+    # when it was accepted; otherwise None.
     worse_than: str | None = None
 
     @classmethod
     def of(cls, **facts: Any) -> Self:
-        """Return the signature of a failure with these facts, without the facts that do not distinguish failures."""
+        # Without the facts that do not distinguish failures.
         told = cls(**facts)
         ended = cls(
             failure=told.failure, assertion=told.assertion, outcome=told.outcome, responsibility=told.responsibility
@@ -124,7 +101,8 @@ class Signature:
         if told.is_property:  # it is the same however its run went on
             return replace(ended, outcome=Outcome.SAFE, responsibility="none")
         if told.fault is not None:
-            # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
+            # At a zone the origin of the NPC says which vehicle did not give way; elsewhere the rule alone gives the
+            # mistake.
             given = None if told.zone is None else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
             known = given if told.fault == "did-not-give-way" else BY_FAULT.get(told.fault)
             at_zone = told.zone if told.fault in AT_ZONES else None
@@ -134,11 +112,9 @@ class Signature:
 
     @property
     def is_property(self) -> bool:
-        """True if the failure is not about how the run ended: a failed check, or an assertion on a measure.
-
-        An assertion of which only the message is known, or that uses no attribute of a run, is taken as one on the end
-        of the run.
-        """
+        """True if the failure is not about how the run ended."""
+        # A failed check, or an assertion on a measure, is not about how the run ended. An assertion that uses no
+        # attribute of a run, or of which only the message is known, counts as one on the end of the run.
         if self.failure == CHECK_FAILED:
             return True
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
@@ -148,22 +124,22 @@ class Signature:
 
     @property
     def told(self) -> dict[str, str]:
-        """All compared fields in words, without those that are None, for programs."""
+        """All compared fields in words, for programs."""
+        # For programs; without fields that are None.
         compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
         words = {name: value.label if isinstance(value, Cell) else value for name, value in compared.items()}
         return {name: str(value) for name, value in words.items() if value is not None}
 
     @property
     def text(self) -> str:
-        """The compared fields as JSON in one line, for reports that have only texts."""
+        """The compared fields as JSON."""
+        # JSON in one line, for reports that have only texts
         return json.dumps(self.told)
 
     @property
     def slug(self) -> str:
-        """A short name for files, in lower-case letters, digits and hyphens: ``entered-lane``, ``rear-6``.
-
-        Two different signatures may have the same slug, and two equal signatures different slugs.
-        """
+        """A short name for files, such as ``rear-6``."""
+        # Two different signatures may have the same slug, and two equal signatures different slugs.
         if self.fault is not None:
             is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
             whence = "" if self.zone is None else f"-{self.zone.rpartition(' ')[2]}"
@@ -186,18 +162,16 @@ class Signature:
 
 
 def zone_in_words(zone: Zone) -> str:
-    """Return the group of a zone, one of :data:`ZONES`."""
+    """Return the group of a zone, one of ``ZONES``."""
     return f"{zone.kind} {zone.whence}"
 
 
 def normalised(assertion: str, message: str = "") -> str:
-    """Reduce a failing assertion to a text that does not vary from run to run or with unrelated edits.
-
-    Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
-    with ``N`` for each number. If ``assertion`` is no source text, its first line is used, or the first line of
-    ``message``, with ``N`` for numbers, ``ADDRESS`` for addresses and ``PATH`` for files. The result has at most 200
-    characters.
-    """
+    """Reduce a failing assertion to a text that does not vary."""
+    # From run to run, and with unrelated edits, the text must stay. Source text is reduced to the tested expression,
+    # without message, comments, line breaks and needless brackets, and with `N` for each number. Any other text is
+    # reduced to its first line, or to the first line of `message`, with `N` for numbers, `ADDRESS` for addresses and
+    # `PATH` for files. The result has at most 200 characters.
     return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
 
 
@@ -214,11 +188,8 @@ class _Numberless(ast.NodeTransformer):
 
 @lru_cache(maxsize=64)
 def _named(assertion: str) -> tuple[set[str], set[str]]:
-    """Return all attributes in an expression, and the attributes of plain names (usually a run) except helper calls.
-
-    In ``run.ego.jerk.max()`` all three are attributes, and ``ego`` is an attribute of the plain name ``run``. The
-    helper call ``helpers.is_fine(run)`` adds nothing to the second set.
-    """
+    # In `run.ego.jerk.max()` all three are attributes, and `ego` is an attribute of the plain name `run`. The helper
+    # call `helpers.is_fine(run)` adds nothing to the second set.
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -253,55 +224,46 @@ def _kebab(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text)[:MAX_SLUG].strip("-")
 
 
+# The kinds of verdicts on runs in which the test passes, or of which ``blame`` excludes the failure.
 PASSES = ("passed", "npc")
-"""The kinds of verdicts on runs in which the test passes, or of which ``blame`` excludes the failure."""
 
 
 @total_ordering
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Severity:
-    """The severity of a failure: larger is worse. Any collision is worse than any failed check.
+    """The severity of a failure: larger is worse."""
 
-    Collisions are compared by their closing speeds, and failed checks by their margins, which have no unit.
-
-    Attributes:
-        kind: ``collision`` or ``check``.
-        value: the closing speed at the impact [m/s], which is the magnitude of the difference of the two velocities;
-            for a check, the amount by which its bound is broken [unit]. None, the worst, if a check measured no finite
-            number.
-        unit: unit of ``value``.
-        margin: negative margin of a check in units of its scale; None for a collision, or if ``value`` is None.
-        name: name of the check; empty for a collision.
-    """
+    # Any collision is worse than any failed check. Collisions are compared by their closing speeds, and failed checks
+    # by their margins, which have no unit.
 
     WORSE_BY: ClassVar[Mapping[str, float]] = MappingProxyType({"collision": 0.1, "check": 0.01})
-    """The smallest difference at which a failure counts as worse: in closing speed [m/s], or in a check's margin."""
-
-    kind: Literal["collision", "check"]
+    kind: Literal["collision", "check"]  # `collision` or `check`
+    # The closing speed at the impact, the magnitude of the difference of the velocities [m/s]; for a check, the amount
+    # by which its bound is broken [unit]. None, the worst, if a check measured no finite number.
     value: float | None
-    unit: str = ""
+    unit: str = ""  # unit of `value`
+    # Negative margin of a check in units of its scale; None for a collision, or if `value` is None.
     margin: float | None = None
-    name: str = ""
+    name: str = ""  # name of the check; empty for a collision
 
     @property
     def figure(self) -> str:
-        """The value in short, without its unit."""
+        """The value in short, without the unit."""
         if self.value is None:
             return "no finite number"
         return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
 
     def __str__(self) -> str:
-        """Describe the failure, such as ``hits at 9.8 m/s``."""
         figure = f"{self.figure} {self.unit}".rstrip()
         return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
 
     def is_fault(self, responsible: str) -> bool:
-        """Return whether the failure is a collision that the ego is responsible for, alone or with the NPC."""
+        """Return whether the failure is a collision for which the ego is responsible."""
         return self.kind == "collision" and responsible in ("ego", "both")
 
     @property
     def figures(self) -> tuple[int, float, float]:
-        """The numbers by which two severities are compared first; larger is worse."""
+        # In the order of comparison; larger is worse.
         value = math.inf if self.value is None else self.value
         if self.kind == "collision":
             return 2, value, 0.0
@@ -309,11 +271,9 @@ class Severity:
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-        """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
-
-        Each group is sorted from the worst, and failures without a measure are last. Callers put more important
-        criteria before this key, and tie-breakers after it. ``responsible`` is ``ego``, ``npc``, ``both`` or ``none``.
-        """
+        """Return a sort key for findings, the worst first."""
+        # Collisions for which the ego is responsible come first. Each group is sorted from the worst, and failures
+        # without a measure are last. Callers put more important criteria before this key, and tie-breakers after it.
         if severity is None:
             return 1, 0, 0.0, 0.0
         return not severity.is_fault(responsible), *(-each for each in severity.figures)
@@ -323,11 +283,9 @@ class Severity:
 
 
 def severity_of(run: Run, failure: Failure) -> Severity | None:
-    """Return how bad a failure of a run is; None for a failure without a measure, such as an ADS that raises or hangs.
-
-    A failed check is measured against its bound, whatever else happened in the run. An assertion that is not about the
-    collision has no measure, because the numbers that it compares are not known.
-    """
+    """Return how bad a failure is, or None without a measure."""
+    # A failed check is measured against its bound, whatever else happened in the run. An assertion that is not about
+    # the collision has no measure, because its numbers are not known. An ADS that raises or hangs has none either.
     if failure.check is not None:
         return _of_check(failure.check)
     text = normalised(failure.assertion, failure.message)
@@ -352,11 +310,9 @@ def _of_check(check: Check) -> Severity:
 
 
 def worsening(now: Severity | None, before: Severity | None) -> str:
-    """Say how much worse a failure became, as in ``hits at 12.1 m/s, 8.0 before``; empty if it did not become worse.
-
-    Two collisions are compared by closing speed and two failures of one check by margin; a collision is worse than any
-    other failure. Other pairs cannot be compared.
-    """
+    """Describe how much worse a failure became, or return an empty string."""
+    # Two collisions are compared by closing speed, and two failures of one check by margin. A collision is worse than
+    # any other failure. Other pairs cannot be compared.
     if now is None:
         return ""
     if before is None or now.kind != before.kind:
@@ -373,7 +329,7 @@ class Verdict:
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
     # responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either. ``invalid``
-    # is a run that says nothing about the ego, such as a crash between NPCs, or of the reference in the scenario.
+    # is a run that shows nothing about the ego, such as a crash between NPCs, or of the reference in the scenario.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
@@ -385,7 +341,7 @@ class Verdict:
 
     @property
     def failed(self) -> bool:
-        """True if the run is a failure that counts, so it is a finding."""
+        """True if the run is a failure that counts."""
         return self.kind == "failed"
 
     @property
@@ -395,17 +351,17 @@ class Verdict:
 
     @property
     def passes(self) -> bool:
-        """True if the test passes in the run, or if ``blame`` excludes the run's failure."""
+        """True if the run passes or ``blame`` excludes its failure."""
         return self.kind in PASSES
 
     @property
     def discarded(self) -> bool:
-        """True if the test function declined to judge the run: it skipped or rejected it."""
+        """True if the test skipped or rejected the run."""
         return self.kind in ("rejected", "skipped")
 
     @property
     def margins(self) -> tuple[tuple[str, float], ...]:
-        """The worst margin of each check that the test function made, sorted by the check's name."""
+        """The worst margin of each check, sorted by the check's name."""
         worst: dict[str, float] = {}
         for each in self.checks:
             worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
@@ -413,13 +369,11 @@ class Verdict:
 
     @property
     def worsening(self) -> str:
-        """The words for how much worse the failure is than the reference's in its scenario; empty if it is no worse."""
+        """How much worse the failure is than the reference's, or an empty string."""
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:
-        """Return the verdict together with the verdict on the reference in the same scenario.
-
-        The failure counts only if the reference passes. If the reference's run is invalid, that is not known.
-        """
+        """Return the verdict compared with the verdict on the reference."""
+        # The failure counts only if the reference passes. If the reference's run is invalid, that is not known.
         without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
         return replace(self, kind="failed" if reference.passes else without, reference=reference)

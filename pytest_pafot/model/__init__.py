@@ -1,1 +1,1 @@
-"""Scenarios and the records of their runs: values that check themselves."""
+"""Scenarios and the records of their runs."""

@@ -1,11 +1,6 @@
-"""Chromosomes and scenarios, which a search evolves and a corpus file stores.
-
-Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and
-a Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
-scenario may have different kinds. The kinds are in ``model/instructions.py``.
-
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
-"""
+"""Chromosomes and scenarios, which a search evolves and a corpus file stores."""
+# All genes of a chain are of one kind, and the NPCs of a scenario may have different kinds. Source: Crespo-Rodriguez,
+# Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 
 from __future__ import annotations
 
@@ -34,30 +29,29 @@ from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleN
 from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, checked_whole
 from pytest_pafot.support.text import Pasteable
 
-PAPER_SPEED_LIMIT = 26.8
-"""The speed limit on the paper's motorway, 60 mph [m/s]."""
+PAPER_SPEED_LIMIT = 26.8  # the speed limit on the paper's motorway, 60 mph [m/s]
+# The defaults of a scenario: the ego's initial lane, counted from 0 at the left; the initial speed of all vehicles
+# [m/s]; the duration of an instruction, as in the paper [s].
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
-"""The defaults of a scenario: the ego's first lane, counted from 0 at the left; the first speed of all vehicles [m/s];
-the duration of an instruction, as in the paper [s]."""
 
+# The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer.
 LONGEST_GENE = 86400.0
-"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 
 MAX_SEED = 2**63 - 1
 
+# The fix that messages give for a chain with a cell that is no ring neighbour of the previous cell.
 REPAIR = "Scenario.repaired(...) makes such chains valid"
-"""The way out that messages give for a chain with a cell that is no ring neighbour of the previous cell."""
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
 
+# The chain of one NPC: its instructions in the order in which it executes them.
 Chromosome = tuple[Instruction, ...]
-"""The chain of one NPC: its instructions in the order in which it executes them."""
 
 
 class _Hashed(Pasteable):
-    """The place for the hash of a scenario, which is computed when it is first needed."""
+    # The slot for the hash of a scenario, which is computed when it is first needed.
 
     __slots__ = ("_hash",)
 
@@ -66,22 +60,22 @@ class _Hashed(Pasteable):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Scenario(_Hashed):
-    """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
+    """The input of a simulated run: one chain of instructions per NPC, the start, and a seed.
 
     Attributes:
-        npcs: one non-empty chain for each of one to eight NPCs. After its last gene, an NPC keeps lane and speed
-            (paper, section 2), or, if its chain is the longest, goes on with that gene.
-        seed: of all random choices in the run, 0 to 2**63 - 1.
-        ego_lane: its first lane, from 0 at the left.
-        ego_speed: first speed of ego and NPCs, unless an NPC crosses or a bend requires less [m/s].
+        npcs: one chain for each of one to eight NPCs. After its last gene, an NPC keeps its lane and speed (paper,
+            section 2). The NPC with the longest chain continues that gene.
+        seed: seed of all random choices in the run, from 0 to 2**63 - 1.
+        ego_lane: the ego's initial lane, from 0 at the left.
+        ego_speed: initial speed of the ego and of NPCs that do not cross [m/s]. It is lower in a curve that requires
+            it.
         gene_seconds: duration of a gene [s].
         traffic: driving style of the NPCs: ``paper``, ``hostile``, ``assertive`` or ``everyday``.
-        vehicles: of the NPCs, in their order: a ``VehicleType``, or the name of a ready one. All after the last are
-            cars.
+        vehicles: vehicles of the NPCs, in order: a ``VehicleType``, or the name of a built-in one. The remaining
+            NPCs are cars.
 
     Raises:
-        ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
-            occupy the same cell in the same gene. :meth:`repaired` makes such chains valid.
+        ScenarioError: if a rule is broken.
     """
 
     npcs: tuple[Chromosome, ...]
@@ -105,9 +99,9 @@ class Scenario(_Hashed):
             object.__setattr__(self, "vehicles", _checked_vehicles(self.vehicles, len(self.npcs)))
         object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
-        speed = checked_number(self.ego_speed, "ego_speed", "m/s, at least 0", least=0.0, error=ScenarioError)
+        speed = checked_number(self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError)
         object.__setattr__(self, "ego_speed", speed + 0.0)  # -0.0 becomes 0.0, so that equal scenarios have equal texts
-        expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
+        expected = f"a number of seconds greater than 0 and at most {LONGEST_GENE:g}"
         seconds = checked_number(
             self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE, error=ScenarioError
         )
@@ -132,11 +126,8 @@ class Scenario(_Hashed):
         traffic: Style = PAPERS,
         vehicles: Sequence[VehicleType | VehicleName] = (),
     ) -> Scenario:
-        """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
-
-        A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it in the same gene.
-        Lane-Instructions need no repair.
-        """
+        """Make a scenario from chains with invalid cells, which are repaired."""
+        # A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it in the same gene.
         return cls(
             npcs=_repaired(npcs, seed),
             seed=seed,
@@ -149,7 +140,7 @@ class Scenario(_Hashed):
 
     @classmethod
     def trusted(cls, **fields: Any) -> Scenario:
-        """Make a scenario without the constructor's checks, for a search whose children consist of checked genes."""
+        # For a search, whose children consist of checked genes.
         scenario = object.__new__(cls)
         for name, value in fields.items():
             object.__setattr__(scenario, name, value)
@@ -165,36 +156,35 @@ class Scenario(_Hashed):
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
-        """The chains of Position-Instructions, in the order of their NPCs; empty if no NPC drives on the grid."""
+        """The chains of Position-Instructions."""
         return positions_of(self.npcs)
 
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
-        """The Crossing-Instruction of each NPC, or None; empty if no NPC has one."""
+        """The Crossing-Instruction of each NPC, or None."""
         found: list[Any] = [chain[0] if chain[0].crosses else None for chain in self.npcs]
         return tuple(found) if any(found) else ()
 
     @property
     def genes(self) -> int:
-        """The number of genes of the longest chain."""
+        """The length of the longest chain."""
         return max(map(len, self.npcs))
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC crosses, because its gene has no duration."""
+        """The longest chain's duration [s], or infinity with crossing NPCs."""
         return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
     def id(self) -> str:
-        """Six hexadecimal digits of a digest of all fields; equal scenarios have equal ids."""
+        """Six hexadecimal digits that equal scenarios share."""
         return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
 
     def canonical(self) -> str:
-        """Return a text that is the same for equal scenarios on any machine."""
+        """Return the same text for equal scenarios on any machine."""
         return _canonical(self)
 
     def plain(self) -> list[Any]:
-        """Return all fields as lists and numbers; :meth:`canonical` is their text."""
         return [[[gene.plain() for gene in chain] for chain in self.npcs], *self._beside_chains]
 
     @property
@@ -205,17 +195,12 @@ class Scenario(_Hashed):
 
     @property
     def chains_text(self) -> str:
-        """The part of the canonical text that contains the chains."""
         chains = [",".join([gene.text for gene in chain]) for chain in self.npcs]
         return f"[[{'],['.join(chains)}]]"
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
-        """Make a scenario from the result of :meth:`plain`, or of ``json.loads`` on the text of :meth:`canonical`.
-
-        Raises:
-            ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
-        """
+        # The inverse of `plain`. Anything else raises a ScenarioError, TypeError or ValueError.
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
         vehicles = others.pop() if others and isinstance(others[-1], list) else ()
         return cls(
@@ -229,7 +214,6 @@ class Scenario(_Hashed):
         )
 
     def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
-        """Return this scenario with other chains, which are repaired, and if given a new duration of a gene [s]."""
         chains = _repaired(npcs, self.seed)
         if gene_seconds is not None:
             return replace(self, npcs=chains, gene_seconds=gene_seconds)
@@ -244,26 +228,22 @@ class Scenario(_Hashed):
         )
 
     def vehicle_of(self, npc: int) -> VehicleType:
-        """Return what vehicle an NPC is."""
         return self.vehicles[npc] if npc < len(self.vehicles) else CAR
 
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:
-        """The vehicle that each NPC is, also those after the last one that is no car."""
         return self.vehicles + (CAR,) * (len(self.npcs) - len(self.vehicles))
 
     def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:
-        """Return this scenario with only the NPCs of these indices, in their order, and with other fields changed."""
+        """Return this scenario with only these NPCs."""
         kept = tuple(npcs)
         vehicles = tuple(map(self.vehicle_of, kept)) if self.vehicles else ()
         return replace(self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes)
 
     def with_vehicle(self, npc: int, vehicle: VehicleType) -> Scenario:
-        """Return this scenario with another vehicle for one NPC."""
         return replace(self, vehicles=(*self.all_vehicles[:npc], vehicle, *self.all_vehicles[npc + 1 :]))
 
     def truncated(self, genes: int) -> Scenario:
-        """Return this scenario with only the first ``genes`` genes of each NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __str__(self) -> str:
@@ -275,10 +255,8 @@ class Scenario(_Hashed):
 
 
 def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
-    """Return a random generator of this package, which depends only on a seed and the part of the work that draws.
-
-    It is made of numpy's own classes, since a test may have replaced the function ``default_rng``.
-    """
+    """Return a generator for one part of the work."""
+    # It is made of numpy's own classes, since a test may have replaced `default_rng`.
     from numpy.random import PCG64, Generator, SeedSequence  # noqa: PLC0415  (slow to import)
 
     return Generator(PCG64(SeedSequence(seed, spawn_key=part)))
@@ -295,7 +273,6 @@ def _checked_whole(name: str, value: object, top: int) -> int:
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
-    """Return the chains as tuples; raise for an NPC without genes and for a chain with several kinds of genes."""
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
@@ -347,7 +324,7 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
 
 
 def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:
-    """Return chains with valid cells. Random choices of the repair depend only on the seed, the NPC and the gene."""
+    # Random choices of the repair depend only on the seed, the NPC and the gene.
     chains = _checked_chains(npcs)
     wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
     if are_valid(wanted):
@@ -356,18 +333,18 @@ def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromos
 
 
 def positions_of(npcs: Sequence[Sequence[Instruction]]) -> tuple[tuple[PositionInstruction, ...], ...]:
-    """Return the chains that consist of Position-Instructions."""
+    """Return the chains of Position-Instructions."""
     return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(tuple(each) for each in npcs if each[0].on_grid))
 
 
 def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
-    """Return one row of cells for each NPC: the given rows for NPCs on the grid, an empty row for each other NPC."""
+    """Return the rows of NPCs on the grid, else empty rows."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]
 
 
 def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -> tuple[Chromosome, ...]:
-    """Return the chains with new cells or lanes in their first genes; a chain without new ones is unchanged."""
+    """Return the chains with new targets in their first genes."""
     return tuple(
         # Most targets are unchanged, and checking a new gene for each of them took a tenth of a short run.
         (
@@ -379,20 +356,15 @@ def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -
 
 
 def continues(before: Instruction, gene: Instruction) -> bool:
-    """Return whether an instruction says nothing new after another one: it is equal, and asks for no change of lanes.
-
-    If an NPC keeps its lane after a change of lanes at the same speed, this is a part of the change.
-    """
+    """Return whether an instruction only continues an earlier one."""
+    # An NPC that keeps its lane at the same speed after a change of lanes continues the change.
     return gene == before.afterwards
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return a chain of genes that last ``wanted`` instead of ``seconds`` [s], with nearly the same targets in time.
-
-    Each new gene equals the old gene that was active at the middle of the new one. Longer genes may skip a cell, in
-    which case the chain needs repair. If several new genes come from one Lane-Instruction, only the first of them
-    changes lanes. A Crossing-Instruction has no duration, so its chain is unchanged.
-    """
+    """Return a chain with genes of another duration."""
+    # Each new gene is the old gene that was active at its middle. Longer genes may skip a cell, and then the chain
+    # needs repair. Only the first of several genes that come from one Lane-Instruction changes lanes.
     if chain[0].crosses:
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))

@@ -1,4 +1,4 @@
-"""The sight of an ADS: how far, how late, how exactly and how often it sees other vehicles."""
+"""The limits and errors of an ADS's perception of other vehicles."""
 
 from __future__ import annotations
 
@@ -15,23 +15,19 @@ from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import listed
 
 Noise = Literal["position", "speed"]
-NOISES = {"position": "m", "speed": "m/s"}
-"""The kinds of noise and their units."""
+NOISES = {"position": "m", "speed": "m/s"}  # the kinds of noise and their units
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """The limits and errors with which an ADS sees other vehicles; by default there are none.
+    """The limits and errors of perception.
 
     Attributes:
         range: largest distance at which other vehicles are seen, from centre to centre [m]; None for no limit.
-        latency: time between the measurement of the vehicles and the decision that uses it [s].
-        noise: standard deviations of the normally distributed errors of the vehicles' ``position``, along x and along
-            y [m], and of their ``speed`` [m/s]. Errors are sampled again for each vehicle and decision.
+        latency: time from the measurement of the vehicles to the decision that uses it [s].
+        noise: standard deviations of the normal errors of ``position``, along x and along y [m], and of ``speed``
+            [m/s], sampled for each vehicle and decision.
         dropout: probability that a vehicle is not seen in a decision.
-
-    Raises:
-        FieldError: if a value is not valid.
     """
 
     range: float | None = None
@@ -52,18 +48,16 @@ class Sight:
 
     @property
     def imperfections(self) -> dict[str, Any]:
-        """The attributes that limit or disturb the sight, as plain data."""
         values = {each.name: getattr(self, each.name) for each in fields(Sight)}
         return {name: value for name, value in values.items() if value or (name == "range" and value is not None)}
 
     @property
     def is_drawn(self) -> bool:
-        """True if chance affects what is seen, so that the seed of a scenario makes a difference."""
+        # Only then the seed of a scenario makes a difference.
         return bool(self.noise or self.dropout)
 
     @property
     def described(self) -> str:
-        """All imperfections in words, such as ``a range of 60 m and 0.3 s of latency``."""
         texts = {
             "range": f"a range of {self.range or 0.0:g} m",
             "latency": f"{self.latency:g} s of latency",
@@ -73,22 +67,14 @@ class Sight:
         return listed([texts[name] for name in self.imperfections] or ["perfect sight"])
 
     def delay(self, hz: float) -> int:
-        """Return the latency in ticks, rounded up, for ``hz`` ticks per second."""
+        # In ticks, rounded up.
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> list[tuple[int, float, float, float]]:
-        """Return what the ego sees of the other vehicles in the decision at a tick.
-
-        Args:
-            states: states of all vehicles when they were measured, shape [vehicles, 7], the ego first; columns as in
-                :class:`pytest_pafot.VehicleState`.
-            seed: seed of all random numbers in the run. Those of a decision depend only on the seed and the tick.
-            tick: tick of the decision.
-
-        Returns:
-            For each vehicle that is seen, its index among all vehicles except the ego, and the errors that are added to
-            its x [m], its y [m] and its speed [m/s].
-        """
+        """Return an index and errors for each vehicle that is seen."""
+        # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed
+        # [m/s]. Random numbers of a decision depend only on the seed and the tick.
+        # Random numbers of a decision depend only on the seed and the tick.
         others = len(states) - 1
         errors, seen = np.zeros((others, 3)), np.ones(others, dtype=bool)
         if self.range is not None:

@@ -1,21 +1,8 @@
-"""What vehicles are and how they drive: their size, what they can do at most, and the driving style of the NPCs.
-
-An instruction says where an NPC goes and how fast. The driving style limits what the NPC does on the way there. In
-every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance as
-behind other NPCs. The NPC responds at once if it moved in itself or if there is a vehicle ahead of the ego. If the ego
-moved in ahead of the NPC, or brakes with nothing ahead, the NPC responds a second later and with at most 6 m/s^2. An
-NPC enters the ego's lane only if the ego, or the NPC itself, has room to adapt its speed.
-
-Sources of the numbers of vehicles:
-
-- SUMO, "Vehicle Type Parameter Defaults", https://sumo.dlr.de/docs/Vehicle_Type_Parameter_Defaults.html: sizes of the
-  classes ``delivery`` and ``motorcycle``; ``accel`` and ``emergencyDecel`` of all classes.
-- Directive 96/53/EC, Annex I: the largest length and width of a motor vehicle without a trailer, 12.00 m and 2.55 m.
-- Directive 92/6/EEC: a speed limitation device keeps a heavy goods vehicle to 90 km/h.
-- New Zealand's rule on vehicle dimensions and mass: a static rollover threshold of at least 0.35 g, beyond which a
-  loaded truck tips over.
-- UN Regulation 13: the brakes of a heavy vehicle decelerate it by at least 5 m/s^2.
-"""
+"""Vehicles, and the driving styles of NPCs."""
+# In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance as
+# behind other NPCs. It responds immediately if it moved in itself or if there is a vehicle ahead of the ego. If the ego
+# moved in ahead of the NPC, or brakes with nothing ahead, the NPC responds a second later and with at most 6 m/s^2. An
+# NPC enters the ego's lane only if the ego, or the NPC itself, has room to adapt its speed.
 
 from __future__ import annotations
 
@@ -28,23 +15,23 @@ from typing import Any, Literal
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import Pasteable
 
+# The gap that an NPC adds to the smallest gap of its style when it drives to a position ahead of the ego [m].
 AMPLE = 1.0
-"""The gap that an NPC adds to the smallest gap of its style when it drives to a place ahead of the ego [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrivingStyle:
-    """The limits that a style sets to NPCs, whatever their instructions say. By default there are none.
+    """The limits that a style sets for NPCs.
 
     Attributes:
-        described: what a reader of a report needs to know of it.
-        is_attentive: True if NPCs respond to what the ego does.
-        least_speed_share: lowest speed of an NPC that nothing ahead slows down, as a share of speed limit or ego's
-            speed, whichever is lower. Target speeds of a search are at least this share of the limit.
+        described: text for reports.
+        is_attentive: True if NPCs respond to the ego.
+        least_speed_share: lowest speed of an NPC with nothing ahead, as a proportion of the lower of speed limit
+            and ego's speed. It also limits target speeds in a search.
         least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
-        time_gap: the same, as a time at the ego's speed [s].
+        time_gap: the smallest gap at which it moves in, as a time at the ego's speed [s].
         braking: hardest braking of an NPC if nothing ahead requires more [m/s^2].
-        lateral_speed: highest speed of an NPC across the road [m/s].
+        lateral_speed: highest lateral speed of an NPC [m/s].
     """
 
     described: str = ""
@@ -56,13 +43,15 @@ class DrivingStyle:
     lateral_speed: float = 100.0
 
     def least_speed(self, speed_limit: float) -> float:
-        """Return the NPCs' lowest target speed for a speed limit [m/s], rounded up to a multiple of 0.1 m/s."""
+        # Rounded up to a multiple of 0.1 m/s.
         return math.ceil(10 * self.least_speed_share * speed_limit - 1e-6) / 10
 
 
-Style = Literal["paper", "hostile", "assertive", "everyday"]
-"""The name of a style."""
+Style = Literal["paper", "hostile", "assertive", "everyday"]  # the name of a style
 
+# The styles by name; docs/explanation/search.md has the sources of the values for everyday driving. The paper's NPCs
+# run into the rear of an ego that is slower than their instruction; hostile ones do all that the ego can still
+# respond to.
 STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
     {
         "paper": DrivingStyle(is_attentive=False),
@@ -85,16 +74,13 @@ STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
         ),
     }
 )
-"""The styles by name; docs/explanation/traffic.md has the sources of the values for everyday driving. The paper's NPCs
-run into the rear of an ego that is slower than their instruction; hostile ones do all that the ego can still respond
-to."""
 
-PAPERS: Style = "paper"
-"""The style of the paper's NPCs, which a scenario has unless it names another one."""
-HOSTILE: Style = "hostile"
-"""The default of a search."""
+PAPERS: Style = "paper"  # the style of the paper's NPCs, which a scenario has unless it names another one
+HOSTILE: Style = "hostile"  # the default of a search
 
 
+# Smallest and largest value of each number of a vehicle. NPCs keep their distance as if all of them braked with 5
+# m/s^2, which is also the least that UN Regulation 13 requires.
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "length": (1.0, 20.0),
@@ -105,33 +91,27 @@ BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "top_speed": (5.0, math.inf),
     }
 )
-"""Smallest and largest value of each number of a vehicle. NPCs keep their distance as if all of them braked with 5
-m/s^2, which is also the least that UN Regulation 13 requires."""
 
+# The curvature of the tightest curve that a car can follow [1/m]. The radius grows with the length of a vehicle.
 TIGHTEST = 1 / 6.5
-"""The curvature of the tightest bend that a car can follow [1/m]. The radius grows with the length of a vehicle."""
 
-LONGEST_NAME = 40
-"""The largest number of characters of a vehicle's name."""
+LONGEST_NAME = 40  # the largest number of characters of a vehicle's name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class VehicleType(Pasteable):
-    """A kind of vehicle: its size, and limits that it has in addition to those of the world for all NPCs.
+    """A kind of vehicle: its size, and limits in addition to those of the world.
 
-    ``"car"``, ``"van"``, ``"truck"`` and ``"motorcycle"`` are ready ones: where a vehicle is asked for, their names
-    are enough. A limit that is not given is that of the world, and so is a limit that is higher than the world's.
+    The names ``"car"``, ``"van"``, ``"truck"`` and ``"motorcycle"`` select built-in vehicles. If a limit is omitted or
+    higher than the world's limit, the world's limit applies.
 
     Attributes:
-        name: such as ``"truck"``.
-        length, width: of its box [m], 1 to 20 and 0.5 to 3, at least as long as wide.
+        name: name of the vehicle, such as ``"truck"``.
+        length, width: size of the box [m], from 1 to 20 and from 0.5 to 3. The length is at least the width.
         acceleration: strongest acceleration [m/s^2], at least 0.5.
         braking: strongest deceleration, as a positive number [m/s^2], at least 5.
         lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
-        top_speed: [m/s], at least 5, also at the start.
-
-    Raises:
-        FieldError: if a value is out of its bounds, or the name is that of a ready vehicle with other numbers.
+        top_speed: highest speed [m/s], at least 5, also at the start.
     """
 
     name: str
@@ -155,7 +135,7 @@ class VehicleType(Pasteable):
             )
             if number is None or not low <= number <= high:
                 most = "" if high == math.inf else f" to {high:g}"
-                expected = f"a number from {low:g}{most or ' on'}"
+                expected = f"a number from {low:g}{most}" if most else f"a number of at least {low:g}"
                 raise FieldError(field=name, expected=expected, received=f"{given!r:.100}")
             object.__setattr__(self, name, number + 0.0)
         if self.length < self.width:
@@ -166,7 +146,7 @@ class VehicleType(Pasteable):
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle so that a ready vehicle is the same object in every process, which is compared in no time."""
+        # A built-in vehicle stays the same object in every process, so comparing it takes no time.
         return _unpickled, (self.plain(),)
 
     def __repr__(self) -> str:
@@ -174,27 +154,23 @@ class VehicleType(Pasteable):
         return repr(self.name) if self.name in READY else Pasteable.__repr__(self)
 
     def plain(self) -> str | dict[str, Any]:
-        """Return the name of a ready vehicle, or a mapping with all fields that were given."""
+        # A built-in vehicle is only a name.
         if self.name in READY:
             return self.name
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return {name: value for name, value in values.items() if value != math.inf}
 
     def can_follow(self, curvature: float) -> bool:
-        """Return whether the vehicle can follow a bend of a curvature [1/m]; a car can follow those of all roads."""
+        """Return whether the vehicle can follow a curvature [1/m]."""
         return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
 
     @property
     def has_limits(self) -> bool:
-        """True if it has limits in addition to those of the world."""
         return min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed) < math.inf
 
     def limited(self, acceleration: float, steering: float, speed: float) -> tuple[float, float]:
-        """Return what an ego that is such a vehicle does at a speed [m/s] of what its driver asks for.
-
-        Both are the acceleration [m/s^2] and the steering angle [rad], of highway-env's bicycle model. The nearer the
-        top speed, the less the ego accelerates, as highway-env's own vehicles do near theirs.
-        """
+        # The acceleration [m/s^2] and steering [rad] of an ego with these limits.
+        # Near the top speed, the ego accelerates less, as highway-env's own vehicles do.
         acceleration = max(min(acceleration, self.acceleration, self.top_speed - speed), -self.braking)
         slip = self.lateral_acceleration * self.length / 2 / max(speed * speed, 1e-9)
         if slip < 1.0:
@@ -204,23 +180,16 @@ class VehicleType(Pasteable):
 
     @property
     def described(self) -> str:
-        """The name and the size in words: ``truck, 12 x 2.55 m``."""
         return f"{self.name}, {self.length:g} x {self.width:g} m"
 
     @property
     def kind(self) -> str:
-        """The last word of its name, for formats with classes of vehicles: a ``recorded truck`` is a truck."""
+        # For formats with classes of vehicles: a `recorded truck` is a truck.
         return self.name.rpartition(" ")[2]
 
     @classmethod
     def of(cls, given: Any) -> VehicleType:
-        """Return the vehicle for a ready one's name or a mapping of fields; a ``VehicleType`` is returned unchanged.
-
-        It is the inverse of :meth:`plain`.
-
-        Raises:
-            FieldError: for anything else.
-        """
+        """Return the vehicle for a name or a plain form."""
         if isinstance(given, VehicleType):
             return given
         if isinstance(given, str) and given in READY:
@@ -233,26 +202,33 @@ class VehicleType(Pasteable):
         raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
 
 
-VehicleName = Literal["car", "van", "truck", "motorcycle"]
-"""The name of a ready vehicle."""
+VehicleName = Literal["car", "van", "truck", "motorcycle"]  # the name of a ready vehicle
 
-READY: Mapping[str, VehicleType] = MappingProxyType({})
-"""The ready vehicles by their names."""
+READY: Mapping[str, VehicleType] = MappingProxyType({})  # the ready vehicles by their names
 
+# Sources of the numbers:
+# - SUMO, "Vehicle Type Parameter Defaults", https://sumo.dlr.de/docs/Vehicle_Type_Parameter_Defaults.html: sizes of the
+#   classes `delivery` and `motorcycle`; `accel` and `emergencyDecel` of all classes.
+# - Directive 96/53/EC, Annex I: the largest length and width of a motor vehicle without a trailer, 12.00 m and 2.55 m.
+# - Directive 92/6/EEC: a speed limitation device keeps a heavy goods vehicle to 90 km/h.
+# - New Zealand's rule on vehicle dimensions and mass: a static rollover threshold of at least 0.35 g. A loaded truck
+#   tips over above it.
+# - UN Regulation 13: the brakes of a heavy vehicle decelerate it by at least 5 m/s^2.
+
+# A car of highway-env's size, with the limits that the world sets for all NPCs.
 CAR = VehicleType(name="car", length=5.0, width=2.0)
-"""A car of highway-env's size, with the limits that the world sets for all NPCs."""
 
+# A delivery van of SUMO's size. It accelerates and brakes as a car does, as in SUMO.
 VAN = VehicleType(name="van", length=6.5, width=2.16)
-"""A delivery van of SUMO's size. It accelerates and brakes as a car does, as in SUMO."""
 
+# A loaded truck of the largest size without a trailer, with SUMO's acceleration and emergency braking of a truck, a
+# lateral acceleration up to the threshold of rolling over, and a speed limitation device.
 TRUCK = VehicleType(
     name="truck", length=12.0, width=2.55, acceleration=1.3, braking=7.0, lateral_acceleration=3.4, top_speed=25.0
 )
-"""A loaded truck of the largest size without a trailer, with SUMO's acceleration and emergency braking of a truck, a
-lateral acceleration up to the threshold of rolling over, and a speed limitation device."""
 
+# A motorcycle of SUMO's size, acceleration and braking. Usual worlds have lower limits, and then these apply.
 MOTORCYCLE = VehicleType(name="motorcycle", length=2.2, width=0.9, acceleration=6.0, braking=10.0)
-"""A motorcycle of SUMO's size, acceleration and braking. Usual worlds have lower limits, and then these hold."""
 
 READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYCLE)})
 
@@ -263,7 +239,8 @@ def _unpickled(plain: Any) -> VehicleType:
 
 
 def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:
-    """Return vehicles of NPCs up to the last one that is no car, so that equal scenarios have equal vehicles."""
+    """Return vehicles up to the last that is no car."""
+    # Equal scenarios must have equal vehicles.
     count = len(vehicles)
     while count and vehicles[count - 1] == CAR:
         count -= 1
@@ -271,11 +248,7 @@ def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...
 
 
 def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
-    """Return the different vehicles of a sequence of vehicles or names, or of a single one, in their order.
-
-    Raises:
-        FieldError: if there is none, or one is unknown.
-    """
+    """Return the distinct vehicles of names or vehicles."""
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     found = tuple(dict.fromkeys(VehicleType.of(each) for each in several))
     if not found:

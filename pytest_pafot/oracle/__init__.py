@@ -1,1 +1,1 @@
-"""The run that a test function receives, and the checks that it makes."""
+"""The run that a test function receives."""

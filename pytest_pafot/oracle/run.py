@@ -1,8 +1,4 @@
-"""What a test function has: the run that it receives, with its measures and its verdict, and the checks that it makes.
-
-A check reports a margin, which is the distance of a value from its bound. A plain ``assert`` reports only that it
-failed.
-"""
+"""The run that a test function receives, and the checks that the function makes."""
 
 from __future__ import annotations
 
@@ -26,15 +22,15 @@ from pytest_pafot.attribution.responsibility import Attribution, Responsibility,
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
-    Asked,
     EgoLaneChange,
     EgoSignals,
     NpcSignals,
     Signals,
-    asked,
+    SlotRequest,
     ego_lane_changes,
     headway,
     leader,
+    slot_requests,
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell, CrossingInstruction
@@ -53,12 +49,12 @@ if TYPE_CHECKING:
 
 
 class Rejected(BaseException):
-    """The exception that :func:`reject` raises; not an ``Exception``, so that the test's handlers do not catch it."""
+    """The exception of :func:`reject`, which handlers for ``Exception`` in a test do not catch."""
 
 
 def reject() -> NoReturn:
     """Discard the current scenario: it counts neither as passed nor as failed."""
-    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; do not call it in any other code")
+    raise Rejected("pafot.reject() discards a scenario in a @pafot.search test. Do not call it anywhere else")
 
 
 LONGEST_NAME = 60
@@ -66,33 +62,22 @@ LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A value of one run that was compared with its bounds.
-
-    Attributes:
-        name: name of the check; two failures of checks with the same name count as the same failure.
-        value: worst value of the run [unit]; NaN fails.
-        margin: distance of the value from its bound, divided by the scale of the check; negative if the bound is
-            broken, minus infinity for NaN.
-        at_most, at_least: bounds [unit]; None if there is no such bound.
-        unit: unit of the value.
-        time: time of the worst value [s]; None if unknown.
-        npc: index of the NPC that the check is about; None if unknown.
-        values: all values, one per tick, if the check received such an array; otherwise None.
-    """
+    """A value of one run that was compared with its bounds."""
 
     name: str
-    value: float
-    margin: float
+    value: float  # the worst value of the run [unit]; NaN fails
+    margin: float  # its distance from the bound, divided by the scale; negative if the bound is broken
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
-    time: float | None = None
+    time: float | None = None  # of the worst value [s]
     npc: int | None = None
+    # All values, if there is one per tick.
     values: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @property
     def bounds(self) -> dict[str, float | None]:
-        """The two bounds, by the argument names ``at_most`` and ``at_least``."""
+        """The two bounds, by their argument names."""
         return {"at_most": self.at_most, "at_least": self.at_least}
 
     @property
@@ -114,13 +99,13 @@ class Check:
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
-    """Error for a check whose bound is broken; its attribute ``check`` has the value, the time and the NPC."""
+    """Error for a check with a broken bound; its attribute ``check`` has the details."""
 
     __module__ = "pytest_pafot"  # users import it from there, and tracebacks show this name
 
     def __init__(self, check: Check) -> None:
         if not isinstance(check, Check):
-            raise TypeError(f"CheckFailed: expected a Check, received {check!r:.80}; pafot.check(...) raises it")
+            raise TypeError(f"CheckFailed: expected a Check, received {check!r:.80}. Call pafot.check(...) instead")
         super().__init__(str(check))
         self.check = check
 
@@ -130,24 +115,16 @@ class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
 
 @dataclass(slots=True)
 class Recording:
-    """The checks of one run, in the order in which they were made.
+    """The checks of one run."""
 
-    Attributes:
-        hz: ticks per second of the run.
-        ticks: number of ticks in the run.
-        npcs: number of NPCs in the run; None if unknown.
-        checks: checks that the test function made in the run.
-    """
-
-    hz: float
+    hz: float  # ticks per second of the run
     ticks: int
-    npcs: int | None = None
+    npcs: int | None = None  # None if unknown
     checks: list[Check] = field(default_factory=list)
 
 
+# The recording of the run that is being evaluated. Checks in a test function can find it here, without the run.
 _RECORDING: ContextVar[Recording | None] = ContextVar("pafot_checks", default=None)
-"""The recording of the run that is being evaluated now. It is a context variable so that checks in a test function do
-not need the run as an argument."""
 
 
 @contextmanager
@@ -174,14 +151,14 @@ def check(
     """Assert that a value is within its bounds, and report the margin to the search.
 
     Args:
-        value: a number, or an array with one value per tick, such as ``run.ego.jerk``, of which the worst counts. NaN
+        value: a number, or an array with one value per tick, such as ``run.ego.jerk``. The worst value counts. NaN
             fails.
-        name: of the check; failures of one name are one finding.
-        at_most, at_least: bounds [unit]; one is required.
+        name: name of the check. Failures with the same name are one finding.
+        at_most, at_least: bounds [unit]. At least one is required.
         unit: such as ``"m/s^3"``.
-        at: time of the event [s]; by default that of an array's worst tick.
-        npc: index of the NPC that it is about; -1, as in ``run.leader``, means none.
-        scale: divisor of the margin [unit], to compare checks; by default the bound, or 1 if it is 0.
+        at: time of the event [s]; by default, the time of an array's worst value.
+        npc: index of the NPC that the check is about. -1, as in ``run.leader``, means none.
+        scale: divisor of the margin [unit], which makes checks comparable; by default the bound, or 1 if it is 0.
 
     Raises:
         CheckFailed: if a bound is broken.
@@ -192,7 +169,7 @@ def check(
     if at_most is None and at_least is None:
         raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither")
     values = _values(value, name)
-    # All bounds become margins in the same direction, of which the smallest counts.
+    # All bounds become margins in the same direction. The smallest margin counts.
     signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
     bounds = [(checked_number(bound, what, "a finite bound"), sign) for bound, sign in signed]
     with np.errstate(invalid="ignore"):
@@ -200,11 +177,11 @@ def check(
     # NaN must never pass: it is worse than any number.
     margins = np.where(np.isnan(margins), -np.inf, margins)
     tick, recording = int(margins.argmin()), _RECORDING.get()
-    # An array has the ticks of the evaluated run if it has one value per tick of that run.
+    # Only an array with one value per tick of the evaluated run has times.
     hz = None if recording is None or values.size == 1 or values.size != recording.ticks + 1 else recording.hz
     time = None if hz is None else tick / hz
     if at is not None:
-        time = checked_number(at, what, "at= as seconds since the run began", least=0.0)
+        time = checked_number(at, what, "at= as seconds since the start of the run", least=0.0)
     made = Check(
         name=_named(name),
         value=float(values[tick]),
@@ -216,7 +193,7 @@ def check(
         npc=_npc(name, npc),
         values=None if hz is None else values,
     )
-    # A check that holds is recorded, too: an algorithm of the user's may learn from its margin.
+    # A check that passes is also recorded, because the user's own algorithm may learn from its margin.
     if recording is not None:
         recording.checks.append(made)
     if not made.holds:
@@ -231,21 +208,15 @@ def _values(value: Any, name: str) -> FloatArray:
     if values.ndim != 1 or not values.size:
         raise ValueError(
             f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
-            f"{values.shape}; check each NPC by itself"
+            f"{values.shape}. Check each NPC separately"
         )
     return values
 
 
 def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
-    """Assert as ``assert`` does, also under ``python -O``, which switches assertions off.
+    """Assert a condition, also under ``python -O``.
 
-    Args:
-        holds: what must be true.
-        assertion: its source text, which identifies the failure as that of an ``assert`` does.
-        explain: returns the message, if it is not true.
-
-    Raises:
-        AssertionError: if it is not true. Its attribute ``assertion`` is the text.
+    ``assertion`` is its source, which identifies the failure. ``explain`` returns the message.
     """
     __tracebackhide__ = True
     if not holds:
@@ -256,7 +227,7 @@ def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
 
 def _named(name: str) -> str:
     if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        raise ValueError(f"name: expected a printable text of 1 to {LONGEST_NAME} characters, received {name!r:.100}")
+        raise ValueError(f"name: expected 1 to {LONGEST_NAME} printable characters, received {name!r:.100}")
     return name.strip()
 
 
@@ -282,7 +253,7 @@ def _npc(name: str, npc: Any) -> int | None:
 
 
 def _short(value: float, bound: float | None) -> str:
-    """Return a value with few digits, but enough of them to show on which side of its bound it is."""
+    # As few digits as possible, but enough to show on which side of its bound the value is.
     texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
     texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
     if bound is None or math.isnan(value):
@@ -294,19 +265,19 @@ def _short(value: float, bound: float | None) -> str:
     )
 
 
+# pytest shows an explanation behind a margin, so its sentences are wrapped at this width.
 SENTENCE_WIDTH = 72
-"""The width at which the sentences of an explanation are wrapped: pytest shows them behind a margin."""
+# The longest line of an explanation.
 LINE_LENGTH = 99
-"""The longest line of an explanation."""
+# Explanations mention a backward speed above this [m/s]. Less is the overshoot of a car that stops.
 BACKWARDS = 0.5
-"""The lowest backward speed that an explanation mentions [m/s]. Less is the overshoot of a car that stops."""
+# Up to this difference, the speed of an instruction was reached [m/s].
 NEAR_SPEED = 0.5
-"""The largest difference at which an explanation says that an instruction's speed was reached [m/s]."""
+# The largest number of rows in an explanation's table of genes.
 MAX_GENE_ROWS = 5
-"""The largest number of rows in an explanation's table of genes."""
+# The wordings of that table, from the longest: the text before an arrival time (no time if there is no room for it),
+# and whether to name the side from which an NPC enters the ego's lane.
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
-"""The wordings of that table, from the longest: the text before a time of arrival, which is empty if there is no room
-for that time, and whether the side from which an NPC comes into the ego's lane is named."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
@@ -319,10 +290,8 @@ class Moment:
 
     Attributes:
         npc: index of the NPC in the scenario.
-        tick: physics tick.
-        time: time of that tick [s].
-        cell: cell of the NPC's centre, or the last one before if the centre is in the ego's own cell. None if there is
-            no such cell, and for an NPC that crosses while it is not on the ego's way.
+        tick, time: physics tick and its time [s].
+        cell: cell of the NPC's centre, or the last one outside the ego's own cell, or None.
     """
 
     npc: int
@@ -333,11 +302,11 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
+    """One simulated run with its outcome, measures and verdict.
 
     Attributes:
         trace: record of the run, tick by tick.
-        take_over: function that repeats the run with the careful driver, who takes over in the middle, or None.
+        take_over: function that repeats the run with a careful driver who takes over, or None.
     """
 
     trace: Trace
@@ -346,20 +315,19 @@ class Run:
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            """Raise an error that suggests the nearest name; Python calls this only if the attribute does not exist."""
             __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
             if hasattr(type(self), name):
-                return object.__getattribute__(self, name)  # raises again an AttributeError from inside a property
+                return object.__getattribute__(self, name)  # raises the AttributeError from inside a property again
             known = [each for each in dir(self) if not each.startswith("_")]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
-            raise AttributeError(f"a run has no attribute {name!r}; {hint}")
+            hint = f"Did you mean `run.{near[0]}`?" if near else f"It has {', '.join(known)}"
+            raise AttributeError(f"a run has no attribute {name!r}. {hint}")
 
     # How it ended.
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as driven, after repairs, which repeats this run."""
+        """The scenario as executed, after repairs."""
         return self.trace.executed
 
     @property
@@ -374,12 +342,12 @@ class Run:
 
     @property
     def ads_error(self) -> AdsError | None:
-        """The error of an ADS that returned no valid action, or None."""
+        """The policy's error, or None."""
         return self.trace.error
 
     @property
     def off_road(self) -> bool:
-        """True if the ego's centre was off the road at some tick."""
+        """True if the ego's centre was off the road at any tick."""
         return self.trace.off_road_tick is not None
 
     @property
@@ -389,36 +357,32 @@ class Run:
 
     @property
     def max_decision_time(self) -> float:
-        """The longest wall-clock time of a decision [s]; not reproducible."""
+        """The longest wall-clock time of a decision [s]. It is not reproducible."""
         return self.trace.max_decision_seconds
 
     # How dangerous it was for the ego: over all ticks and NPCs.
 
     @cached_property
     def mettc(self) -> float:
-        """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none.
-
-        The estimated time is the time until the ego reaches the point where its line of travel crosses an NPC's line
-        (PAFOT, section 3.3, equations 1 to 3).
-        """
+        """The paper's minimum estimated time to collision (equations 1 to 3) [s]; lower is worse, inf without one."""
         return criticality.mettc(self.trace)
 
     @cached_property
     def min_ttc(self) -> float:
-        """The least time to contact of the ego's box and an NPC's [s]; lower is worse, inf if there is none.
+        """The smallest time to contact of the ego's box and an NPC's [s]; lower is worse, inf if there is none.
 
-        It assumes constant velocities: the time to collision of Hayward (1972), for oriented boxes.
+        Velocities are constant (Hayward, 1972).
         """
         return criticality.min_ttc(self.trace)
 
     @cached_property
     def min_distance(self) -> float:
-        """The least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
+        """The smallest distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
         return criticality.min_gap(self.trace)
 
     @cached_property
     def min_centre_distance(self) -> float:
-        """The paper's minimum distance between the ego's centre and an NPC's [m]; lower is worse (equation 4)."""
+        """The smallest distance between the ego's centre and an NPC's [m] (equation 4 of the paper)."""
         return criticality.min_centre_distance(self.trace)
 
     @cached_property
@@ -445,44 +409,33 @@ class Run:
 
     @cached_property
     def leader(self) -> npt.NDArray[np.intp]:
-        """The index of the nearest NPC ahead in the ego's lane at each tick; -1 if there is none."""
+        """The index of the nearest NPC ahead in the ego's lane at each tick, or -1."""
         return leader(self.trace)
 
     @cached_property
     def lane_changes(self) -> tuple[EgoLaneChange, ...]:
-        """The ego's lane changes in their order."""
+        """The ego's lane changes in order."""
         return ego_lane_changes(self.trace)
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """The times at which the ego and each NPC that crosses were in their zone.
+        """The times at which the ego and each crossing NPC were in their conflict zone.
 
-        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time by which the ego
-        and crossing traffic missed each other.
+        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time between them [s].
         """
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
-        """Return a function of the trace as a signal; ``npc`` is the index of the NPC for a function of each.
-
-        Raises:
-            ValueError: if the function returns an array of a different shape, or if ``npc`` is missing.
-        """
+        """Return the signal that a function computes from the trace; with ``npc``, only the column of that NPC."""
         return self._signals.of(function, npc)
 
     def to_pandas(self) -> DataFrame:
-        """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``.
-
-        The index is the time [s].
-
-        Raises:
-            ModuleNotFoundError: if pandas is not installed.
-        """
+        """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``."""
         try:
             pd = import_late("pandas")
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                f"run.to_pandas(): expected pandas to be installed; {install('compare')} brings it"
+                f"run.to_pandas(): expected pandas to be installed. To install it, run {install('compare')}"
             ) from error
         return pd.DataFrame(  # type: ignore[no-any-return]
             {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
@@ -492,10 +445,10 @@ class Run:
 
     @cached_property
     def attribution(self) -> Attribution:
-        """The cause of the collision: who, the time of what decides, and why."""
+        """The responsible side, with the decisive time and the reasons."""
         found = attributed(self.trace)
         if found.contested is not None:
-            with suppress(DriverError):  # whoever asks for the number itself is told
+            with suppress(DriverError):  # `run.takeover` raises it
                 return decided(found, self.takeover)
         return found
 
@@ -503,10 +456,7 @@ class Run:
     def takeover(self) -> float | None:
         """The latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none does.
 
-        None without a collision with an NPC, and if the world cannot say.
-
-        Raises:
-            DriverError: if the world cannot simulate the driver.
+        None if the world cannot simulate that driver.
         """
         return None if self.take_over is None else takeovers.latest(self.trace, self.take_over)
 
@@ -518,11 +468,7 @@ class Run:
 
     @property
     def second_opinion(self) -> Responsibility | None:
-        """The side that the position rule blames, ``"ego"`` or ``"npc"``; None without a collision.
-
-        It is the ego, if it moved and the NPC was ahead of it at the impact, or if it hit no NPC; otherwise the NPC.
-        This simpler rule is from the code that the authors of the PAFOT paper released.
-        """
+        """The side that the simpler rule of the paper's authors blames, ``"ego"`` or ``"npc"``, or None."""
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
@@ -530,25 +476,24 @@ class Run:
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """The tick and NPC with the least time to contact, if any was finite."""
+        """The tick and NPC with the smallest time to contact, if it was finite."""
         return self._at_minimum(criticality.ttc(self.trace))
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """The tick and NPC with the least distance between the boxes."""
+        """The tick and NPC with the smallest distance between the boxes."""
         return self._at_minimum(criticality.gap(self.trace))
 
     @property
     def closest_time(self) -> float:
-        """The time of the least distance between the boxes [s]."""
+        """The time of the smallest distance between the boxes [s]."""
         return self.duration if self.closest_approach is None else self.closest_approach.time
 
     @cached_property
     def event_time(self) -> float:
         """The time of the most important event of the run [s].
 
-        The event is the collision, the ADS's error or the departure from the road. If none of these occurred, it is the
-        least time to contact, or else the closest approach.
+        It is a collision, error or departure from the road; otherwise, the smallest time to contact.
         """
         if self.collision is not None:
             return self.collision.time
@@ -559,35 +504,26 @@ class Run:
 
     @property
     def event_npc(self) -> int | None:
-        """The NPC that collided, or else that with the least time to contact, or None.
-
-        It is None, too, if the ego hit a fixed object.
-        """
+        """The NPC that collided, or else the one with the smallest time to contact, or None."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.npc
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell of ``event_npc`` at the event, if it was on the ego's way."""
+        """The cell of ``event_npc`` at the event, if it was on the ego's path."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC if it crosses and has not merged yet, else None.
-
-        After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
-        """
+        """Return the conflict zone of an event's NPC before it has merged, or None."""
         zone, on_way = None if event.npc is None else self.npcs[event.npc].zone, self.trace.on_way
         if event.npc is None or zone is None or on_way is None:
             return None
+        # After it has merged and left the zone, an NPC is on the ego's path like any other.
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Return where an event's NPC is, such as ``in cell 2 (front)``.
-
-        For an NPC that crosses, it is such as ``from the left in the zone o1>o3``. It is empty if the NPC never left
-        the ego's own cell.
-        """
+        """Return the position of an event's NPC, such as ``in cell 2 (front)``; empty if unknown."""
         zone, on_way = self.zone_of(event), self.trace.on_way
         if event.npc is None or zone is None or on_way is None:
             return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
@@ -596,16 +532,13 @@ class Run:
         return f"{zone.whence} {where} the zone {zone.way}"
 
     @cached_property
-    def asked(self) -> tuple[Asked, ...]:
-        """The slots that crossing NPCs were asked for, with what they were."""
-        return asked(self.trace)
+    def asked(self) -> tuple[SlotRequest, ...]:
+        """The time gaps requested of crossing NPCs at their conflict zones, and the actual ones."""
+        return slot_requests(self.trace)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The sentences of the verdict.
-
-        They say what happened, each a measured fact, and which vehicle is responsible.
-        """
+        """The sentences of the verdict: what happened, and who is responsible."""
         if self.collision is None:
             return ()
         verdict = self.attribution
@@ -614,7 +547,7 @@ class Run:
 
     @property
     def impact(self) -> str:
-        """The words on who hit whom, when and how fast; empty without a collision."""
+        """Who hit whom, when and how fast, in words; empty without a collision."""
         hit = self.collision
         if hit is None:
             return ""
@@ -626,17 +559,18 @@ class Run:
         return capitalised(impact(hit.time, hit.npc, hit.side, hit.cell, whence, hit.closing_speed, way))
 
     def explain(self, *, instructions: bool = True) -> str:
-        """Explain the run in some twenty lines of ASCII at most: events, verdict, NPCs' instructions.
+        """Explain the run in about twenty lines of ASCII.
 
-        Args:
-            instructions: whether to name the scenario and its instructions; without them, each sentence is one line.
+        Without ``instructions``, each sentence is one line.
         """
+        # What happened: the headline, the sentences of the verdict, and a few measures.
         is_whole, lines = not instructions or self.collision is None, [self._headline()]
         lines += [f"  {each}" for each in self.sentences]
         lines = lines if is_whole else [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
         lines += self._measures()
+        # What was requested: vehicles other than cars, the instructions, and how to identify the scenario.
         if instructions:
-            names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
+            names = [f"scenario {self.scenario.id}", f"scenario seed {self.scenario.seed}"]
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
             names += filter(None, [STYLES[self.scenario.traffic].described])
             others = [
@@ -647,6 +581,7 @@ class Run:
             lines += [f"  {'; '.join(others)}"] if others else []
             crossing = _crossing_lines(self.trace)
             lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
+        # Texts from users and exceptions must neither break lines nor make them too long.
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         most = math.inf if self.collision is not None and not instructions else LINE_LENGTH
         return "\n".join(text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -659,14 +594,10 @@ class Run:
         return Signals(self.trace)
 
     def _at_minimum(self, measure: FloatArray) -> Moment | None:
-        """Return the moment at which a measure of shape [ticks + 1, NPCs] is least; None if it is never finite.
-
-        Of equal values, the first tick is used, and at that tick the first NPC.
-        """
         values = np.where(np.isnan(measure), np.inf, measure)
         if values.size == 0 or not np.isfinite(values.min()):
             return None
-        tick, npc = divmod(int(values.argmin()), values.shape[1])
+        tick, npc = divmod(int(values.argmin()), values.shape[1])  # of equal values, the first tick and NPC
         cell = criticality.Encounters(self.trace).last_cell(npc, tick)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
@@ -694,22 +625,20 @@ class Run:
             return [f"  {brake}", *self._backwards()]
         lines, worst = [], self.worst_ttc
         if worst is not None:
-            place = f" {self.place_of(worst)}".rstrip()
-            lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
-        lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
+            place = f"NPC {worst.npc} {self.place_of(worst)}".rstrip()
+            lines.append(f"  smallest time to contact: {self.min_ttc:.2f} s, {place} at {worst.time:.1f} s")
+        lines.append(f"  smallest distance: {self.min_distance:.2f} m at {self.closest_time:.1f} s; {brake}")
         return [*lines, *self._backwards()]
 
     def _backwards(self) -> list[str]:
-        """Return a line on an ego that drove backwards, which no other measure shows; nothing if it did not."""
         speeds = self.trace.ego[:, SPEED]
-        tick = int(np.nanargmin(speeds))
+        tick = int(np.nanargmin(speeds))  # no other measure shows that the ego drove backwards
         if speeds[tick] > -BACKWARDS:
             return []
         return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
 
     def _hardest_brake(self) -> str:
-        """Return the words for the ego's hardest braking and its time."""
-        text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
+        text = f"hardest braking by the ego: {self.hardest_brake:.1f} m/s^2"
         if self.hardest_brake < 0.05:
             return text
         time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
@@ -717,33 +646,31 @@ class Run:
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Return a crossing NPC's instruction in words, such as ``from the left, 0.5 s after the ego leaves``."""
+    """Return a crossing NPC's instruction in words."""
     return instruction.words_from("" if zone is None else zone.whence)
 
 
 def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
-    """Return how many lanes an NPC is to the right of the ego when a gene begins; NaN if it is unknown."""
+    """Return how many lanes an NPC is to the right of the ego when a gene starts, or NaN."""
     return _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
 
 
 def arrival(trace: Trace, npc: int, gene: int) -> int | None:
-    """Return the tick at which an NPC reached the target of a gene; None if it did not.
-
-    A change of lanes takes longer than a short gene. It counts as finished, too, when the NPC arrives in its new lane
-    during the next genes that keep that lane.
-    """
+    """Return the tick at which an NPC reached the target of a gene, or None."""
     chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
 
     def keeps_new_lane(later: int) -> bool:
         lanes = chain[gene].lasting(chain[later])
         return lanes is not None and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
 
+    # A lane change may take longer than a short gene. It also counts if the NPC arrives in its new lane during the next
+    # genes that keep that lane.
     genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
     return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
 
 
 def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
-    """Return the lane of a vehicle at the beginning of a gene, counted to the right; NaN if it is unknown."""
+    # Lanes are counted to the right.
     tick = gene * round(trace.scenario.gene_seconds * trace.physics_hz)
     if tick > trace.ticks:
         return math.nan
@@ -751,7 +678,7 @@ def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
 
 
 def _crossing_lines(trace: Trace) -> list[str]:
-    """Return one line for each NPC that crosses: its way, its instruction, and its time in the zone."""
+    # One line for each crossing NPC: its path, its instruction, and its time in the conflict zone.
     told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
     shown = told[: MAX_GENE_ROWS - (2 if None in trace.executed.crossings else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
@@ -759,11 +686,11 @@ def _crossing_lines(trace: Trace) -> list[str]:
         f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
         for npc, each in shown
     ]
-    return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
+    return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more crossing NPCs"]
 
 
 def _passed(passage: Passage | None) -> str:
-    """Return when an NPC passed its zone, relative to the ego, in words: ``; arrived 0.1 s after it (5.6 s)``."""
+    # When the NPC passed the zone; "it" is the ego, which the instruction before this text names.
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
@@ -774,16 +701,13 @@ def _passed(passage: Passage | None) -> str:
     if gap and passage.npc_leaves <= passage.ego_enters:
         return f"; left {gap:.1f} s before it ({passage.npc_leaves:.1f} s)"
     if not gap:
-        return f"; there with it from {max(passage.npc_enters, passage.ego_enters):.1f} s"
+        return f"; both in the zone from {max(passage.npc_enters, passage.ego_enters):.1f} s"
     return f"; arrived {gap:.1f} s after it ({passage.npc_enters:.1f} s)"
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:
-    """Return the table of the instructions that were started, with a row per gene and a column per NPC.
-
-    Genes in which no NPC does anything new are a part of the row before. The table has at most ``room`` rows, the last
-    ones. Times are in seconds.
-    """
+    # A row per gene and a column per NPC, for the last genes that started. A gene in which no NPC does anything new
+    # belongs to the row before. Times are in seconds.
     scenario, seconds = trace.executed, trace.executed.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     if not npcs:
@@ -793,6 +717,7 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     spans = list(pairwise([*starts, started]))
     times = [f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}" for start, end in spans]
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
+    # Shorten the wording until the table fits.
     for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
         rows = [
             [time, *(_gene(trace, npc, range(*span), *wording) for npc in npcs)]
@@ -809,14 +734,12 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
 
 
 def _is_new(chain: Chromosome, gene: int) -> bool:
-    """Return whether an NPC gets another instruction at the beginning of a gene, or has none from there on."""
     if gene == 0 or gene >= len(chain):
         return gene in (0, len(chain))
     return not continues(chain[gene - 1], chain[gene])
 
 
 def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) -> str:
-    """Return the instruction that one NPC has during some genes, in one of the wordings of the table."""
     chain, gene = trace.chains[npc], genes[0]
     if gene >= len(chain):
         return "-"
@@ -831,7 +754,7 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     speeds = trace.states[min(first, trace.ticks) : last + 1, npc + 1, SPEED]
     nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
     end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
-    if abs(nearest - instruction.speed) > NEAR_SPEED:  # It was reached only in its place.
+    if abs(nearest - instruction.speed) > NEAR_SPEED:  # the NPC reached the position, but not the speed
         how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
         end = f"in place from {at}, {how}" if reached.endswith("at ") else f"in place {at}"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

@@ -1,7 +1,6 @@
-"""The pytest plugin: options, marks, fixtures, items, and their reports on the terminal.
+"""The pytest plugin.
 
-A session without a marked test imports only small modules. What reports on marked tests is imported when the first one
-is collected, and everything that needs numpy, yaml or highway-env when it is collected or run.
+A session without a marked test imports only small modules. Everything else is imported when it is needed.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from pytest_pafot.plugin.session import (
 )
 from pytest_pafot.report.session import Session
 from pytest_pafot.support import isolating
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 
 if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Scenario
@@ -51,20 +50,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_load_initial_conftests(early_config: pytest.Config) -> Generator[None, None, None]:
-    """Let no policy end the process of the session as if it had passed, not even where a conftest.py imports it."""
+    """Fail the session if a conftest.py ends the process."""
     guard_exits(early_config)
     try:
         return (yield)
     except SystemExit as error:
-        raise pytest.UsageError(f"expected a conftest.py that can be imported, received {error!r} from it") from error
+        # pytest would end with the status of this exception, which may be 0.
+        raise pytest.UsageError(f"a conftest.py raised {error!r}. Remove the call that ends the process") from error
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marks, and a separate plugin for each feature that the options turn on."""
+    """Register the marks, and a plugin for each feature that is turned on."""
     for line in (
-        f"{ANY_MARK}: select every test that belongs to pytest-pafot with -m {ANY_MARK}",
-        f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
-        f"{SAVED_MARK}(saved): replay a saved scenario; set by the plugin",
+        f"{ANY_MARK}: all tests of pytest-pafot, which `pytest -m {ANY_MARK}` selects",
+        f"{SEARCH_MARK}(**arguments): search for scenarios in which the test fails (set by @pafot.search)",
+        f"{SAVED_MARK}(saved): replay a saved scenario (set by the plugin)",
     ):
         config.addinivalue_line("markers", line)
     config.stash[SESSION] = Session()
@@ -100,18 +100,18 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _check_that_it_searches(config: pytest.Config) -> None:
-    """Refuse the session of the command ``search`` if its options let it search nothing, which would pass."""
     try:
+        # A search without runs would pass.
         settings = resolve(config, {})
     except RequestError:  # its test reports it
         return
     if not settings.is_search:
-        raise pytest.UsageError("search: expected a search, received a limit of 0 runs or generations; leave it out")
+        raise pytest.UsageError(f"search: expected at least 1 run, received 0. Remove --runs or {flag('generations')}")
 
 
 @pytest.hookimpl(trylast=True)  # after hooks that add marks
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Register the plugins that run the marked items and report on them, if there are any."""
+    """Register the plugins that run marked items and report on them."""
     config = session.config
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
     inventory = config.stash[INVENTORY]
@@ -130,14 +130,13 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Register the reports in a session without marked items that has something to say in its summary."""
+    """Register the reports in a session without marked items that has problems to report."""
     said = session.config.stash[SESSION]
     if said.problems or said.written or said.left:
         _report(session.config)
 
 
 def _report(config: pytest.Config) -> None:
-    """Register the plugins that report on marked items, unless they are registered. A worker only sends messages."""
     if config.pluginmanager.has_plugin("pafot-messages"):
         return
     features: dict[str, object] = {"messages": Messages()}
@@ -145,6 +144,7 @@ def _report(config: pytest.Config) -> None:
         from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
         from pytest_pafot.plugin.reporter import Files, Reporter  # noqa: PLC0415
 
+        # A worker of pytest-xdist only sends messages. The controller reports on them.
         files = Files(config)
         features |= {"files": files, "reporting": Reporter(config, files), "guard": Guard(config)}
     _register(config, features)
@@ -168,7 +168,7 @@ class Simulate(Protocol):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Let what a test and its fixtures call know whether the policies of this session are isolated."""
+    """Isolate policies in tests that call ``pafot_simulate``, if the options require it."""
     with isolating(lambda: option_value(item.config, BY_NAME["isolate"], arguments_of(item) or {})):
         return (yield)
 
@@ -185,8 +185,7 @@ def pafot_world() -> BaseWorld:
 def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
 
-    The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
-    up: its first call is not slower than the others.
+    The function fails the test if the ADS raises, hangs or returns no action. It warns if the run is invalid.
     """
     from pytest_pafot.campaign.harness import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
@@ -212,11 +211,11 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
         hypothesis = sys.modules.get("hypothesis")
         is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
         if run.outcome is Outcome.INVALID and not is_generated:
-            why = run.trace.users_error_text or "two NPCs or an NPC and a fixed object touched"
+            why = run.trace.users_error_text or "two NPCs collided, or an NPC hit a fixed object"
             what = "environment" if run.trace.ended else "scenario"
             warnings.warn(
-                f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
-                f"Correct the {what}",
+                f"pafot_simulate: the run is invalid, because {why}. It ended early, so it cannot show whether the ego "
+                f"drives well. Correct the {what}",
                 pytest.PytestWarning,
                 stacklevel=2,
             )

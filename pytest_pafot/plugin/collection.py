@@ -1,4 +1,4 @@
-"""From ``@pafot.search`` to items: each marked test has one for its search, and one for each of its saved scenarios.
+"""The collection of items: each marked test has one for its search, and one for each saved scenario.
 
 Every test file that uses the plugin imports this module, so it imports little.
 """
@@ -61,17 +61,13 @@ def search(*target: Any, **arguments: Any) -> Any:
     The decorator works with and without arguments, on functions and on classes of test functions. Arguments are checked
     right before the test runs, so a wrong argument fails one item and does not prevent the import of the module.
     """
+    # @pafot.search, not @pafot.search(...): the only argument is the test, unless it looks like an ADS or a factory.
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
-        return _decorated(target[0], (), {})
-    return lambda function: _decorated(function, target, arguments)
+        return _decorate(target[0], (), {})
+    return lambda function: _decorate(function, target, arguments)
 
 
 def _may_be_decorated(target: object) -> bool:
-    """Return whether the only argument of ``@pafot.search`` can be the decorated test, not an ADS or its factory.
-
-    An ADS is a class with ``__call__``, or a vehicle class of highway-env. A factory has no parameter ``run``, and its
-    name is not the name of a test.
-    """
     if inspect.isclass(target):
         kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # if not imported, there is no vehicle class
         is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
@@ -82,15 +78,14 @@ def _may_be_decorated(target: object) -> bool:
 
 
 def _check_name(target: object) -> None:
-    """Refuse an object without a name, which pytest takes for an argument of its mark: it would collect no test."""
     if getattr(target, "__name__", "<lambda>") == "<lambda>":
         raise TypeError(
-            f"expected a test function or a class of tests, received {target!r}, which pytest does not collect; write "
-            f"a function `def test_...({RUN})` that calls it, and decorate that"
+            f"expected a test function or a class of tests, received {target!r}. pytest does not collect objects "
+            f"without a name. Write a function `def test_...({RUN})` that calls it, and decorate the function"
         )
 
 
-def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
+def _decorate(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     _check_name(target)
     if (module := sys.modules.get(target.__module__)) is not None:
         MARKED.setdefault(module, []).append(target)
@@ -104,19 +99,17 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
 
 
 def is_driven(item: pytest.Item) -> bool:
-    """Return whether the item of a test drives its policy: a search or a replay."""
+    """Return whether an item is a search or a replay."""
     return item.get_closest_marker(SEARCH_MARK) is not None
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
-    """Return the arguments of all search marks of an item, merged; None if the item has no search mark.
-
-    Of two marks with the same argument, the mark that is closer to the function is used.
-    """
+    """Return the merged arguments of an item's search marks, or None without a search mark."""
     marks = list(item.iter_markers(SEARCH_MARK))
     if not marks:
         return None
     merged: dict[str, Any] = {}
+    # The mark that is closest to the function comes first, and wins.
     for mark in reversed(marks):
         merged.update(mark.kwargs)
         if mark.args:
@@ -130,12 +123,10 @@ def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
 
 
 def saved_part(id_: str) -> str:
-    """Return the part of an item's name that identifies its saved scenario, such as ``saved-<id>``.
-
-    An id is quoted if pytest would rewrite it, or if it contains control characters, which a terminal would obey.
-    """
+    """Return the part of an item's name that identifies its saved scenario, such as ``saved-<id>``."""
     from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have a saved scenario)
 
+    # pytest escapes other characters in the names of items, and a terminal obeys control characters.
     if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
         return f"{SAVED_PART}{id_}"
     from urllib.parse import quote  # noqa: PLC0415
@@ -144,9 +135,10 @@ def saved_part(id_: str) -> str:
 
 
 def base_name(item: pytest.Item) -> str:
-    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``, and for each repetition of it."""
+    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
     mark = item.get_closest_marker(SAVED_MARK)
     name = layout.name_without(layout.SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
+    # All repetitions of a test have the same saved scenarios, so their numbers are not part of the base name.
     for part in re.findall(rf"(?<=[\[-]){REPEAT}\d+(?=[\]-])", name):
         name = layout.name_without(part, name)
     return name
@@ -158,12 +150,12 @@ def base_id(item: pytest.Item) -> str:
 
 
 def saved_node_id(item: pytest.Item, id_: str) -> str:
-    """Return the node id of the item that will replay a finding of a search, given the finding's id."""
+    """Return the node id of the item that will replay a finding."""
     return _node_id(item, renamed(item.name, id_))
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
-    """Return the name, for the location of a report, of the item that will replay a finding of a search."""
+    """Return the name, for the location of a report, of the item that will replay a finding."""
     return renamed(item.location[2], id_)
 
 
@@ -178,29 +170,30 @@ def _node_id(item: pytest.Item, name: str) -> str:
 
 
 def renamed(text: str, id_: str) -> str:
-    """Return the name of a search with the part of a saved scenario in place of its own."""
+    """Return the name of a replay, given the name of its search and the id of its scenario."""
     parts = layout.around(layout.SEARCH_PART, text)
     return text if parts is None else saved_part(id_).join(parts)
 
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
-"""The saved scenarios that existed when the session collected its items, by folder and file name."""
+"""The saved scenarios that existed at collection, by folder and file name."""
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
-"""What the mark and the options of an item ask for, once they are checked."""
+"""The checked mark and options of an item."""
 
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
-    """Replace corpus files, and folders of a corpus, on the command line by the test files that replay them.
+    """Replace corpus files and corpus folders on the command line with the test files that replay them.
 
-    Return the corpus files, and the test files that the command line did not name itself.
+    Return the corpus files, and the test files that were added.
     """
     folders = {arg: layout.files_below(path_of(config, arg)) for arg in config.args if _is_in_corpus(config, arg)}
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX) or folders.get(arg)]
     if not given:
         return set(), set()
+    # A test file that the user has named too is collected with all its tests.
     others = [path_of(config, arg).resolve() for arg in config.args if arg not in given]
     paths = [path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]]
     files = [path.parent.resolve() / path.name for path in paths]  # not resolved: a link has its own item
@@ -211,7 +204,7 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
 
 
 class Collection:
-    """Hooks that create the items of searches and saved scenarios, filter them and order them."""
+    """Hooks that create, filter and order the items of searches and saved scenarios."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -228,15 +221,12 @@ class Collection:
         self._inventory = config.stash[INVENTORY] = Inventory(set(), set(), set(), set())
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
-        """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
+        """Ignore all files in a corpus, even if they are named like tests."""
         return any(map(self._is_corpus, (collection_path, *collection_path.parents))) or None
 
     def _is_corpus(self, folder: Path) -> bool:
-        """Return whether a folder is a corpus.
-
-        The rootdir and the folders above it are no corpora. A folder given on the command line is a corpus only if it
-        has the default name.
-        """
+        # The rootdir and the folders above it are no corpora, whatever their names are. A folder on the command line is
+        # one only if it has the default name.
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
         corpus = Path(self._corpus_name or "")
@@ -248,19 +238,13 @@ class Collection:
 
     @cached_property
     def _asked_for(self) -> set[Path]:
-        """The rootdir, the folders given on the command line, and all folders above them."""
         given = (path_of(self._config, arg) for arg in self._config.args)
         folders = [self._rootpath, *(path for path in given if path.is_dir())]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Generator[None]:
-        """Parametrize a marked test function with its search, then with each saved scenario that may belong to it.
-
-        Its part of the name is behind those of the user's marks: ``test_x[1-search]``. A plugin that repeats tests
-        gives them a parameter whose name begins with two underscores. Its part of the name is replaced by one that is
-        known again, since the repetitions of a test have the same saved scenarios.
-        """
+        """Parametrize a marked test function with its search and with the saved scenarios that may belong to it."""
         if arguments_of(metafunc.definition) is None:
             return (yield)
         parametrize = metafunc.parametrize
@@ -273,6 +257,8 @@ class Collection:
                 kw["ids"] = [f"{REPEAT}{number}" for number in range(len(argvalues))]
             parametrize(argnames, argvalues, *args, **kw)
 
+        # A plugin that repeats tests uses a parameter with two underscores. Its ids are replaced by known ones, so that
+        # base_name can remove them.
         metafunc.parametrize = parametrize_repeated  # type: ignore[method-assign]
         yield
         if RUN not in metafunc.fixturenames or is_parametrised(metafunc, RUN):
@@ -285,18 +271,18 @@ class Collection:
         parametrize(RUN, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
 
     def _saved_by_id(self, definition: pytest.Item) -> Iterable[Saved]:
-        """Return the saved scenarios of a test in all its parametrisations, one scenario per id."""
         corpus = self._corpus_name
         if corpus is None:
             return []
         module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
         name = qualified_name(definition)
         chosen = layout.chosen_folder(definition.path, corpus)
+        # A link in a checkout could lead to files of other people, so such files are reported and not read.
         link = layout.link_out(chosen, module_folder.parent, self._rootpath)
         found: dict[str, Saved] = {}
         if module_folder not in self._listed:
             self._listed[module_folder] = layout.TestFolders(module_folder)
-        for folder in self._listed[module_folder].of(name):
+        for folder in self._listed[module_folder].folders_of(name):
             if folder not in self._saved:
                 from pytest_pafot.corpus.reader import refused_in, saved_in  # noqa: PLC0415  (few sessions have any)
 
@@ -307,14 +293,13 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pycollect_makeitem(self) -> Generator[None, Any, Any]:
-        """Drop items whose saved scenario belongs to other parameters of the same test."""
+        """Drop items whose saved scenario belongs to other parameters of the test."""
         made = yield
         if not isinstance(made, list):
             return made
         return [item for item in made if self._belongs(item)]
 
     def _belongs(self, item: pytest.Item) -> bool:
-        """Return whether an item is collected: a saved scenario only together with the parameters of its test."""
         if arguments_of(item) is None:
             return True
         corpus, folder = self._corpus_name, None
@@ -338,9 +323,10 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
-        """Find marked tests that pytest leaves out, before tests are selected; drop unneeded searches afterwards."""
+        """Find marked tests that pytest does not collect, and drop items that were not requested."""
         if MARKED and not self._config.getoption("lf", False):
             self._inventory.unnamed.update(marked_and_left(self._config, items))
+        # Before other plugins select tests, and again after them.
         self._deselect(items, self._is_beside_given)
         yield
         # Under --lf, a search need not run again if its findings have become items since.
@@ -350,10 +336,7 @@ class Collection:
             self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
-        """Note the saved scenarios that are deselected by name, among others.
-
-        pytest-testmon also passes names of tests, which are no items.
-        """
+        # pytest-testmon also passes the names of tests.
         own = (saved_of(item) for item in items if isinstance(item, pytest.Item))
         files = [saved.path for saved in own if saved is not None]
         if files:
@@ -362,7 +345,6 @@ class Collection:
             self._inventory.deselected.update(visible(layout.relative(file, self._rootpath)) for file in files)
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
-        """Return whether an item's module was collected only to replay a corpus file, which is not the item's file."""
         saved = saved_of(item)
         return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
 
@@ -374,26 +356,26 @@ class Collection:
             items[:] = [item for item in items if item not in gone]
 
     def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> list[str]:
-        """Return the lines after collection: how many searches and saved scenarios, and what they may cost."""
+        """Return lines with the number of searches and saved scenarios, and the number of runs."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
         if not searches and not saved:
             return []
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
         # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.
-        off = "" if __debug__ else "python -O: assertions in modules that pytest does not rewrite are off"
+        off = "" if __debug__ else "with python -O, Python skips assertions in modules that pytest does not rewrite"
         first = "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
         cost = cost_line(self._config, [arguments_of(item) or {} for item in items if is_search(item)])
         return [first, *([cost] if cost else [])]
 
 
 def is_search(item: pytest.Item) -> bool:
-    """Return whether an item is a search; False for replays and for tests without a mark."""
+    """Return whether an item is a search, not a replay."""
     return item.get_closest_marker(SEARCH_MARK) is not None and item.get_closest_marker(SAVED_MARK) is None
 
 
 def saved_of(item: pytest.Item) -> Saved | None:
-    """Return the saved scenario that an item replays; None if the item is no replay."""
+    """Return the saved scenario that an item replays, or None."""
     mark = item.get_closest_marker(SAVED_MARK)
     if mark is None:
         return None
@@ -412,11 +394,8 @@ def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
 
 
 def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iterator[str]:
-    """Yield the names of the marked functions and classes of which pytest has collected no test.
-
-    They are looked for in what the session was to collect, in the rootdir. A class that others derive from is meant to
-    be no test of its own.
-    """
+    """Yield the names of marked functions and classes that pytest has not collected."""
+    # Decorators wrap functions, so follow __wrapped__ to the function that was marked.
     run: set[int] = set()
     for item in items:
         run |= {id(each) for each in getattr(getattr(item, "cls", None), "__mro__", ())}
@@ -433,6 +412,7 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
         for each in marked:
             name = each.__qualname__
             owner = getattr(module, name.partition(".")[0], None)
+            # A class with subclasses is meant as a base of tests, and __test__ = False excludes a class on purpose.
             is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
             is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
             if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
@@ -440,7 +420,6 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
 
 
 def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
-    """Return whether a folder on the command line is a corpus with the default name, or in one."""
     path = path_of(config, arg)
     names = path.relative_to(config.rootpath).parts if path.is_relative_to(config.rootpath) else ()
     return layout.CORPUS in names and path.is_dir()
@@ -451,13 +430,13 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     from pytest_pafot.support.text import visible  # noqa: PLC0415
 
     if not file.is_file():
-        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
+        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but there is no file")
     corpus = value_if_right(config, "corpus")
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder is not in a corpus" if module is None else f"{module} does not exist"
         problem = f"{file}: expected a saved scenario of a test file, but {where}"
         again = command("pytest_pafot", "replay", "FILE", "--ads", "module:Class")
-        fix = f"move the folder to where the test is now, or replay the file without a test: `{again}`"
-        raise pytest.UsageError(f"{visible(problem)}; {fix}")
+        fix = f"Move the folder to the corpus of the test, or replay the file without a test: `{again}`"
+        raise pytest.UsageError(f"{visible(problem)}. {fix}")
     return module

@@ -1,7 +1,4 @@
-"""Data that the controller and the workers of pytest-xdist exchange when a worker starts and when it ends.
-
-While items run, they exchange messages, as in a session without workers.
-"""
+"""The data that pytest-xdist's controller and workers exchange when a worker starts and ends."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ KEY = "pafot"  # the key of this plugin's data in the input and the output of a 
 
 
 class _KeptEvents(Queue[Any]):
-    """A queue that removes an event when it is asked for the next one, so that an interrupt in between loses none."""
+    """A queue that keeps an event until the next one is requested, so that an interrupt loses none."""
 
     is_begun = False  # whether the first event has been given out
 
@@ -40,23 +37,21 @@ class Controller:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Let pytest-xdist keep each event of a worker until it is handled."""
         if controller := session.config.pluginmanager.get_plugin("dsession"):
+            # An interrupt between taking an event and handling it would lose the event.
             controller.queue = _KeptEvents()
 
     @pytest.hookimpl(trylast=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note that a report is taken: an interrupt waits until all have seen it."""
         self._last = report
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
-        """Pass the shared values to a new worker, as plain data."""
         node.workerinput[KEY] = dict(vars(node.config.stash[SHARED]))
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
-        """Store which saved scenarios the first workers collected, so that later workers collect the same."""
+        """Store which saved scenarios the first workers collected, so that later workers collect the same ones."""
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # Under --dist=loadgroup the name of the group is appended.
@@ -67,7 +62,6 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Store what an ended worker has collected."""
         output = getattr(node, "workeroutput", {}).get(KEY)
         if output is None:  # It died.
             return
@@ -75,7 +69,8 @@ class Controller:
             known.update(other)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Take what the workers have reported and an interrupted controller has not taken; they have ended by now."""
+        """Report the results that an interrupted controller has received but not handled."""
+        # All workers have ended by now, so no more events come.
         waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
         for event, data in () if waiting is None else tuple(waiting.queue):
             if event == "testreport" and data["rep"] is not self._last:
@@ -86,12 +81,9 @@ class Worker:
     """Hooks of a worker of pytest-xdist."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Pass what this worker has collected to the controller.
-
-        The texts are sent as JSON in ASCII, because file names may contain bytes that are not valid characters.
-        pytest-xdist cannot send such a text: it would replace the worker, and the new worker would fail in the same
-        way.
-        """
+        """Send the collected items to the controller."""
         inventory: Inventory = session.config.stash[INVENTORY]
+        # JSON in ASCII, because file names may contain invalid characters. pytest-xdist cannot send these: it would
+        # replace the worker, and the new one would fail in the same way.
         output = json.dumps([sorted(each) for each in inventory])
         session.config.workeroutput[KEY] = output  # type: ignore[attr-defined]

@@ -1,8 +1,6 @@
-"""The guard against lost tests: on CI, no session passes that leaves out a saved scenario or a marked test.
+"""The guard against lost tests: on CI, a session fails if it skips a saved scenario or a marked test.
 
-A saved scenario of the project has to be run, or be deselected by name for this call. It does not matter what has left
-it out. The saved scenarios of the project are those below the rootdir, so they are known without any test that runs
-them.
+Every saved scenario below the rootdir has to be run, or be deselected by name for this session.
 """
 
 from __future__ import annotations
@@ -43,32 +41,32 @@ from pytest_pafot.support.text import plural, visible
 
 MAX_FOLDERS = 10_000  # the number of folders in which saved scenarios are looked for
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
-"""The node id of the error with which a session fails if it left out saved scenarios."""
+"""The node id of the error for saved scenarios that were not run."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
-"""The node id of the error with which a session fails if pytest leaves out a marked test."""
+"""The node id of the error for marked tests that were not collected."""
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
 _BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
 _FOREIGN = {FOUND, ".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
-"""The names of folders whose saved scenarios are never the project's own."""
+"""Folders with saved scenarios that never belong to the project."""
 _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
-"""The names in a folder that is another repository, such as a submodule, or a virtual environment."""
+"""Files that mark another repository or a virtual environment."""
 _CONFIGURED = ("pyproject.toml", "pytest.ini", "tox.ini", "setup.cfg", "setup.py", "package.json")
-"""The files by which a folder is a project."""
+"""Files that mark the root of a project."""
 _SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "testmon", "picked")
-"""The options of pytest, pytest-split, -shard, -test-groups, -testmon and -picked with which a session is partial."""
+"""Options of pytest and plugins that run only a part of the tests."""
 
 
 _LISTING = ("collectonly", "setupplan", "setuponly", "showfixtures", "show_fixtures_per_test", "cacheshow")
-"""The options of pytest with which a session runs no test."""
+"""Options of pytest that run no test."""
 
 ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
-"""The exit codes of sessions that ran some tests, and came to their end or were ended early."""
+"""Exit codes of sessions that ran tests."""
 
 
 class Guard:
-    """Hooks, on the controller, that compare the saved scenarios of the project with those that the session ran."""
+    """Hooks that compare the saved scenarios of the project with those that the session ran."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -81,7 +79,6 @@ class Guard:
         self.cause = cause_of(config)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note the items and the saved scenarios that have run, and which items have failed."""
         if report.when == "teardown":
             self._ended.add(report.nodeid)
         if report.failed:
@@ -93,26 +90,26 @@ class Guard:
 
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
+        """Fail the session after all items have run and all workers of pytest-xdist have reported."""
         result = yield
         self._is_whole = True
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
-            counted = f"pytest does not collect {plural(len(unnamed), 'test')} with a mark of pafot ({self.cause}):"
+            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a mark of pafot ({self.cause}):"
             _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED)
         self._note_left()
         if fails := self._session.fails:
-            way_out = f"{self.cause}; {BY_NAME['allow_orphans'].flag} lets it pass"
-            counted = f"this session left out {plural(len(fails), 'saved scenario')} ({way_out}):"
+            way_out = f"{self.cause}; allow it with {BY_NAME['allow_orphans'].flag}"
+            counted = f"this session did not run {plural(len(fails), 'saved scenario')} ({way_out}):"
             _report(session, ERROR_ID, f"{counted} {first(fails)}", ADVICE)
         return result
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, unless all policies drove well."""
+        """Reject an exit code of 0, for example from ``pytest.exit(returncode=0)``, if a policy failed."""
         inventory = self._config.stash[INVENTORY]
         if not self._is_whole and session.exitstatus in ENDS:
-            with self._session.faults("saved scenarios that were left out"):
+            with self._session.faults("saved scenarios that were not run"):
                 self._note_left()
         unended = sorted(inventory.driven - self._ended)
         # In a session in which no policy was to drive, tests may fail as its hooks want.
@@ -120,16 +117,15 @@ class Guard:
         named = unended or (sorted(self._failed) if is_meant else [])
         if not self.cause or session.exitstatus != pytest.ExitCode.OK or not named or _only_lists(self._config):
             return
-        what = "did not run to the end" if unended else "failed"
+        what = "did not finish" if unended else "failed"
         session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
         self._session.problems.append(
-            f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session was to end with the exit code 0, "
-            "as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with "
-            f"{int(session.exitstatus)} ({self.cause})"
+            f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session would end with exit code 0. It "
+            f"ends with {int(session.exitstatus)} instead ({self.cause}). Does a test call pytest.exit(returncode=0), "
+            "or does a plugin implement pytest_runtest_protocol?"
         )
 
     def _note_left(self) -> None:
-        """Store what the session has left out, for all that reports on it."""
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
             return  # The command asks for one test. All others of the project are not collected.
@@ -141,7 +137,7 @@ class Guard:
         self._session.left, self._session.fails = names, names if may_fail else []
 
     def _is_chosen(self, *paths: Path) -> bool:
-        """Return whether a path, or ``--ignore``, of this call leaves out a saved scenario or its test file."""
+        """Return whether the command line excludes a saved scenario or its test file."""
         config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
         patterns = [each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()]
         ignored = [
@@ -157,12 +153,12 @@ class Guard:
         return bool(given) and not any(path.is_relative_to(folder) for folder in folders for path in paths)
 
     def _left_out(self) -> Iterator[tuple[Path, Path]]:
-        """Yield the saved scenarios of the project that were neither run nor deselected by name, and their test files.
+        """Yield each saved scenario that was neither run nor deselected by name, with its test file.
 
-        The test file is the one next to the corpus, whether or not it exists. A file outside of a corpus has none, and
-        is yielded itself.
+        The test file need not exist. A file outside a corpus is yielded twice.
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
+        # First, the saved scenarios that were run, found just now, or deselected by name. They need not be reported.
         known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}  # reported later
         known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
@@ -170,10 +166,12 @@ class Guard:
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
         own += [corpus] if corpus.is_absolute() else []
         problems = self._session.problems if inventory.driven else []
+        # Second, all files of the project that may be saved scenarios, with whether they are in a corpus.
         found = dict(_files_below(top, own, asked, corpus, problems))
         if self.cause and (inventory.driven or found):
             found.update(dict.fromkeys(_not_in_checkout(top, corpus), True))
         left = {file: is_inside for file, is_inside in found.items() if visible(relative(file, top)) not in known}
+        # Third, drop copies of scenarios that were run, and files that belong to other projects.
         names = {name_within(file.name) or file.name for file in left}
         copies = {(Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names}
         for file, is_inside in left.items():
@@ -203,11 +201,12 @@ class Guard:
 def _files_below(
     top: Path, own: Iterable[Path], asked: Iterable[Path], corpus: Path, problems: list[str]
 ) -> Iterator[tuple[Path, bool]]:
-    """Yield the files below folders that may be saved scenarios, and whether they are in a corpus.
+    """Yield possible saved scenarios below some folders, and whether they are in a corpus.
 
-    The folders in ``own`` are corpora, ``top`` and those in ``asked`` are not. No link to a folder is followed, since
-    it may lead anywhere. A folder of a corpus that cannot be listed, or is a link out of ``top``, is yielded itself.
+    The folders in ``own`` are corpora, ``top`` and those in ``asked`` are not.
     """
+    # No link to a folder is followed, since it may lead anywhere. A folder of a corpus that cannot be listed is yielded
+    # itself.
     queue = deque([*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)])
     starts, names = set(queue), {CORPUS, corpus.name}
     seen: set[tuple[str, bool]] = set()
@@ -240,14 +239,11 @@ def _files_below(
                     problems.append(refusal(file))
                     yield file, True
     if queue:
-        problems.append(f"saved scenarios that this session left out: only {MAX_FOLDERS} folders were searched for any")
+        problems.append(f"the list of saved scenarios may be incomplete: only {MAX_FOLDERS} folders were searched")
 
 
 def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
-    """Yield the saved scenarios that git tracks, and whose corpus is not in this checkout, as in a sparse one.
-
-    A submodule that is a corpus, and that was not fetched, is yielded itself.
-    """
+    """Yield saved scenarios that git tracks in a corpus that is not checked out."""
     from pytest_pafot.support.files import git  # noqa: PLC0415  (few sessions have saved scenarios)
 
     above = Path(os.path.realpath(top))
@@ -264,7 +260,7 @@ def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
 
 
 def _named_test(file: Path) -> str:
-    """Return the node id of the test that a file names, even if the file is broken; empty if the file names no test."""
+    """Return the node id that a corpus file names, even if the file is broken."""
     from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
     from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
 
@@ -280,7 +276,7 @@ def _only_lists(config: pytest.Config) -> bool:
 
 
 def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> None:
-    """Report the session's error like the error of an item, so that it is counted, also in files for other tools."""
+    """Report an error of the session like the error of an item."""
     try:
         pytest.fail(f"{line}\n  {advice}", pytrace=False)
     except pytest.fail.Exception as error:

@@ -34,7 +34,7 @@ from pytest_pafot.plugin.collection import (
     is_search,
     saved_of,
 )
-from pytest_pafot.plugin.messages import set_of_saved
+from pytest_pafot.plugin.messages import set_saved_properties
 from pytest_pafot.plugin.replay_item import run_replay
 from pytest_pafot.plugin.search_item import run_search
 from pytest_pafot.plugin.session import SHARED, is_worker, report_on, resolve, uncaptured
@@ -44,23 +44,23 @@ from pytest_pafot.support.text import meant, visible, wrapped_to
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 IDLE = "replay only"
-"""The reason for which a search is skipped that is to run no generations."""
+"""The reason for skipping a search without runs."""
 
 
 class Checks:
-    """Hooks that check a marked item, and report anything wrong with it as the item's own failure."""
+    """Hooks that check a marked item, and report errors as failures of the item."""
 
     # Neither tryfirst nor trylast: it must run after pytest reads the skip marks and before it sets up the fixtures.
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Fail a marked item that cannot run as it is written; skip a search that is to run no generations."""
+        """Fail an item that cannot run as written, and skip a search without runs."""
         # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
             if item.get_closest_marker(ANY_MARK) is not None and RUN in getattr(item, "fixturenames", ()):
                 pytest.fail(
-                    f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
-                    f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and "
+                    f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}. This mark only "
+                    f"selects tests, as in `pytest -m {ANY_MARK}`. Write `import pytest_pafot as pafot` and "
                     "@pafot.search(...)",
                     pytrace=False,
                 )
@@ -72,26 +72,27 @@ class Checks:
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
         item.stash[REQUEST] = request
+        # A search without runs still has to run a scenario in which an earlier session died.
         is_idle = is_search(item) and not request.settings.is_search
         with REPLACED.shown(False):  # by a fixture of the module
             is_idle = is_idle and not left_by(base_id(item), records_of(item.config.rootpath))
         if is_idle:
             option = BY_NAME["runs" if request.settings.runs == 0 else "generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
-                messages.send(item, Note(f"no search ran: {option.key} is 0 in the settings"))
+                messages.send(item, Note(f"no search ran, because {option.key} is 0 in the settings"))
             pytest.skip(f"{IDLE}: {flag(option.name, 0)}")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Add what to do to the report of an item without the fixture of its ADS; tell a CI of skipped items."""
+        """Explain a missing fixture of the ADS, and report skipped items on CI."""
         report = yield
         request = item.stash.get(REQUEST, None)
         if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
             reason = visible(str(getattr(call.excinfo, "value", "")))
             if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
-                text = f"{base_id(item)} was skipped, so its policy did not drive: {reason}"
+                text = f"{base_id(item)} was skipped, so its policy was not tested: {reason}"
                 messages.send(item, Note(text, "warning"))
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
@@ -108,26 +109,26 @@ def _check_function(item: pytest.Item) -> None:
     unittest = sys.modules.get("unittest")
     if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
         raise RequestError(
-            "expected a plain test function or class, received a method of the unittest.TestCase "
-            f"{cls.__name__}, which takes no fixtures; move the test out of that class"
+            "expected a test function or a simple test class, received a method of the unittest.TestCase "
+            f"{cls.__name__}, which cannot use fixtures. Move the test out of that class"
         )
     if not isinstance(item, pytest.Function):
         raise RequestError(f"expected a test function, received {item!r}")
     if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
         raise RequestError(
-            "expected @pafot.search or @given, received both, and each of them runs the function many times; "
-            "use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
+            "expected @pafot.search or @given, received both. Each of them calls the function many times. "
+            "Use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
         )
     if inspect.iscoroutinefunction(item.obj) or inspect.isasyncgenfunction(item.obj):
         raise RequestError(
-            "expected a plain function, received an async function, whose assertions would never run; "
-            "write `def` instead of `async def`"
+            "expected a synchronous function, received an async function. Its assertions would never run. "
+            "Write `def` instead of `async def`"
         )
     if not asserts_run(inspect.unwrap(item.obj)):
         raise RequestError(
-            "expected a test whose assertions run, received one that pytest does not rewrite, such as with "
-            "--assert=plain or from another module, in a Python with -O or PYTHONOPTIMIZE; leave out -O and "
-            "PYTHONOPTIMIZE"
+            "expected a test whose assertions run, but Python skips them with -O or PYTHONOPTIMIZE. pytest does not "
+            "rewrite this test, because of --assert=plain or because it is from another module. Run Python without -O "
+            "and PYTHONOPTIMIZE"
         )
 
 
@@ -136,37 +137,36 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
     if RUN not in names:
         raise RequestError(
             f"expected a parameter {RUN!r} that receives the simulated run, received the parameters "
-            f"({', '.join(names)}); name it, as in `def {item.name.partition('[')[0]}({RUN})`"
+            f"({', '.join(names)}). Add it, as in `def {item.name.partition('[')[0]}({RUN})`"
         )
     if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
         raise RequestError(
             f"expected the parameter {RUN!r} to be free for the simulated run, but the test is already parametrised "
-            "with it; rename that parameter"
+            "with it. Rename the parameter"
         )
     for name in (request.ads, WORLD_FIXTURE):
         if isinstance(name, str) and name not in item.fixturenames:  # type: ignore[attr-defined]
             raise RequestError(
-                f"expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
-                f"which requests it, and not with @pytest.mark.{SEARCH_MARK}"
+                f"the test does not use the fixture {name!r}. Mark the test with @pafot.search(...), which "
+                f"requests the fixture, instead of @pytest.mark.{SEARCH_MARK}"
             )
     against = request.settings.against
     if isinstance(against, str) and ":" not in against and against not in item.fixturenames:  # type: ignore[attr-defined]
         raise RequestError(
-            f"against: expected module:factory, such as planner_before:make, received {against!r}; only "
+            f"against: expected module:factory, such as planner_before:make, received {against!r}. Only "
             "@pafot.search(against=...) accepts the name of a fixture"
         )
 
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
-    """Return what to do about a missing ADS fixture, wrapped to a width except for lines of code."""
     hint = meant(name, available) or "."
     text = (
-        f"the fixture {name!r} that gives the ADS factory was not found{hint}\n"
+        f"the fixture {name!r}, which returns the ADS factory, was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"
         "    @pytest.fixture\n"
         f"    def {name}():\n"
         "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
-        'Or name another fixture with @pafot.search(ads="..."), or give a factory: @pafot.search(ads=MyPlanner).'
+        'Or name another fixture with @pafot.search(ads="..."), or pass a factory: @pafot.search(ads=MyPlanner).'
     )
     lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
     return "\n".join(part for parts in lines for part in parts)
@@ -179,7 +179,7 @@ class Execution:
     """Hooks that run the items of searches and saved scenarios."""
 
     def pytest_sessionfinish(self) -> None:
-        """Close the simulators of this process, if any were made; their warnings are then in the summary."""
+        """Close the simulators of this process, so that their warnings are in the summary."""
         if (simulation := sys.modules.get("pytest_pafot.world.engines.simulation")) is not None:
             simulation.Simulators.close_all()
 
@@ -188,24 +188,24 @@ class Execution:
         """Set the properties of a saved scenario before its item can fail or be skipped."""
         saved = saved_of(item)
         if saved is not None:
-            set_of_saved(item, saved)
+            set_saved_properties(item, saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Let no hook around this one report a failure as passed, so that a session with a finding would pass."""
+        """Restore a failure that another hook has reported as passed."""
         report = yield
         if call.excinfo is not None and report.passed and is_driven(item):
             report.outcome = "failed"
             report.longrepr = report.longrepr or item.repr_failure(call.excinfo)
-            text = "a hook pytest_runtest_makereport called this failure passed; use the mark xfail, or corpus accept"
+            text = "a hook pytest_runtest_makereport reported this failure as passed; use xfail or corpus accept"
             report.sections.append(("pafot", text))
         return report
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Run the search or replay of a marked item, in place of pytest's call of the function."""
+        """Run the search or replay of a marked item instead of calling its function once."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
@@ -229,10 +229,7 @@ class Execution:
 # replaced like a worker that crashed.
 
 STATUS = pytest.ExitCode.INTERRUPTED
-"""The exit status of a session that ended because its ADS hung.
-
-If no Python thread gets to run, faulthandler ends the process with status 1 instead.
-"""
+"""The exit status of a session that ended because its ADS hung."""
 
 FLUSH = 120.0  # the longest time for the summary, since plugins may wait for something that the ADS holds [s]
 SHOWN = 6  # the number of innermost frames that are printed
@@ -240,7 +237,7 @@ SHOWN = 6  # the number of innermost frames that are printed
 
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
-    """End the session if the ADS, or its environment, hangs inside this context and ignores interrupts."""
+    """End the session if the ADS hangs in this context and ignores interrupts."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
         with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
@@ -252,6 +249,7 @@ def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
 
 
 def _end(item: pytest.Item, thread: int) -> None:
+    # The session ends even if a report waits for something that the ADS holds.
     limit = threading.Timer(FLUSH, os._exit, (STATUS,))
     limit.daemon = True
     limit.start()
@@ -266,17 +264,17 @@ def _end(item: pytest.Item, thread: int) -> None:
 
 
 def _flush(item: pytest.Item, stack: str) -> None:
-    """Report a stuck item and end the session as an interrupt would, but from another thread than the item's."""
+    """Report the stuck item and end the session. The thread of the item is stuck, so another one calls this."""
     reason = (
-        f"{item.nodeid}: code of the ADS, or of its environment, exceeds its limit and ignores every interrupt, so "
-        "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
-        f"saves it. With {flag('isolate')}, the search continues after such a hang"
+        f"{item.nodeid}: the ADS or its environment exceeded its time limit and ignores every interrupt, so "
+        "this session has to end. The next session will run the scenario again in a separate process, and save it. "
+        f"With {flag('isolate')}, a search continues after such a hang"
     )
-    told = f"{reason}.\n\nWhat it calls, innermost call last:\n{stack}"
+    told = f"{reason}.\n\nThe stack of the ADS, innermost call last:\n{stack}"
     report = report_on(item, "call", outcome="failed", longrepr=told)
     item.ihook.pytest_runtest_logreport(report=report)
     try:
-        pytest.exit(f"the ADS or its environment hangs in {item.nodeid}, as its failure says", returncode=STATUS)
+        pytest.exit(f"the ADS or its environment hangs in {item.nodeid}. See its failure", returncode=STATUS)
     except pytest.exit.Exception:
         item.config.hook.pytest_keyboard_interrupt(excinfo=pytest.ExceptionInfo.from_current())
     item.session.exitstatus = STATUS
@@ -284,10 +282,7 @@ def _flush(item: pytest.Item, stack: str) -> None:
 
 
 def _real_stderr(config: pytest.Config) -> int | None:
-    """Return the descriptor of the real stderr for faulthandler.
-
-    It is None if pytest already uses faulthandler's only timer (``faulthandler_timeout``).
-    """
+    # faulthandler has only one timer, and pytest may use it for faulthandler_timeout.
     if config.pluginmanager.has_plugin("faulthandler") and float(config.getini("faulthandler_timeout") or 0.0) > 0.0:
         return None
     with suppress(OSError), uncaptured(config):
@@ -296,7 +291,7 @@ def _real_stderr(config: pytest.Config) -> int | None:
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Request:
-    """Return the checked request for the arguments of a mark. Positional arguments are under :data:`POSITIONAL`.
+    """Return the checked request for the arguments of a mark.
 
     Raises:
         RequestError: on the first wrong argument or option.
@@ -307,7 +302,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
         name = getattr(positional[0], "__name__", "")
         example = "runs=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
         raise RequestError(
-            f"@pafot.search: expected keyword arguments only, received {positional!r:.200}; write the argument's name, "
+            f"@pafot.search: expected keyword arguments only, received {positional!r:.200}. Write the argument's name, "
             f"as in @pafot.search({example})"
         )
     check_names(given)

@@ -1,4 +1,4 @@
-"""The item of a saved scenario: it runs one replay, and passes an exception of the test function on to pytest."""
+"""The item of a saved scenario, which runs one replay."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, set_properties
-from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
+from pytest_pafot.plugin.search_item import exception_for_pytest, harness_of, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
-from pytest_pafot.world.driving.policy import wrapped
+from pytest_pafot.world.driving.policy import wrap_ads
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import Around
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
-"""The node id of the item that has explained an error of the set-up, by test and cause."""
+"""The items that have explained an error of the set-up, by test and cause."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
-    """Run the item of a saved scenario; an exception of the test function reaches pytest unchanged."""
+    """Run the item of a saved scenario. An exception of the test function reaches pytest unchanged."""
     __tracebackhide__ = True
     finding = saved.finding
     if finding is None:
@@ -49,11 +49,12 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         stop_in_replay(item, replays, saved)
     if NOT_ACCEPTED in item.stash:  # left by the first try of an item that is tried again
         del item.stash[NOT_ACCEPTED]
+    # Runs the scenario, and evaluates the run with the test function.
     now = replays.observed(saved, item.nodeid)
     for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if now.run is not None and (why := now.run.trace.users_error_text):
-        pytest.fail(f"the replay says nothing about the ADS: {visible(why)}", pytrace=False)
+        pytest.fail(f"the replay cannot show whether the ADS drives well: {visible(why)}", pytrace=False)
     if now.run is not None:
         _check_set_up(item, replays, saved, *now.ran)
     raised = None if now.verdict is None else now.verdict.exception
@@ -68,6 +69,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         item.stash[NOT_ACCEPTED] = now.beyond
     detail = _detail(replays, finding, now, happening)
     item.stash[REPLAYED] = True
+    # The controller is informed before the item can end with an exception.
     sighting = _send(item, replays, saved, finding, now, line, detail)
     item.stash[OF_ONE_RUN].show(now.run)  # the last call may have been for the reference
     if finding.xfail is not None and not now.fails:
@@ -81,11 +83,11 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         return
     if isinstance(raised, ProcessLostError):
         pytest.fail(f"{line}: {cause(raised, 'delete the file')}", pytrace=False)
-    raise shown(raised)
+    raise exception_for_pytest(raised)
 
 
 def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
-    """Return what a replay shows beside its label: the reference's result, and what differs from the file."""
+    """Return the differences between a replay and the file, and the result of the reference."""
     reference = "" if now.reference_passes is None else f", which {'passes' if now.reference_passes else 'fails'}"
     name = replays.harness.against_name
     notes = [f"against {name}{reference}" if name else ""]
@@ -102,7 +104,7 @@ def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
-    """Fail the item if the cause of its failure is the set-up. Only the first item of a test explains it."""
+    """Fail the item if the set-up causes its failure. Only the first item of a test explains it."""
     __tracebackhide__ = True
     cause, finding = cause_of(run, verdict), saved.finding
     if cause is None or verdict.failure is None or finding is None:
@@ -112,7 +114,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
     line = ascii_text(headline(run, verdict))
     if key in faults:
-        text = f"{line}\nIt is the error of the set-up that {faults[key]} explains."
+        text = f"{line}\nThe cause is an error in the set-up. See the failure of {faults[key]}."
         error: BaseException = pytest.fail.Exception(text, pytrace=False)
     else:
         try:
@@ -120,14 +122,13 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
             return
         except SetupFaultError as fault:
             faults[key] = item.nodeid
-            error = shown(fault.shown(replays.harness.world, replays.harness.policy))
+            error = exception_for_pytest(fault.shown(replays.harness.world, replays.harness.policy))
     raise error
 
 
 def _send(
     item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, now: Observed, headline: str, detail: str
 ) -> Seen:
-    """Report a replay to the controller and return it."""
     path, verdict = relative(saved.path, replays.harness.root), now.verdict
     reference = None if verdict is None else verdict.reference
     observed = replace(
@@ -143,8 +144,8 @@ def _send(
     # The item fails again from that day on, and nobody may remember why it did not before.
     if finding.xfail is not None and not replays.accepts(finding):
         over = (
-            f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
-            "or remove the line"
+            f"{path}: accepted ({finding.accepted}), but that day has passed: correct the failure, write a later day, "
+            "or remove the line `xfail:`"
         )
         messages.send(item, Note(over, "warning"))
     check = None if verdict is None or verdict.failure is None else verdict.failure.check
@@ -159,7 +160,7 @@ def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
 
 
 def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
-    """Raise what the result of an item is whose run did not fail."""
+    """Raise the exception for a replay that did not fail, for example a skip."""
     __tracebackhide__ = True
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
@@ -170,24 +171,23 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
             f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
         )
     if verdict.kind == "invalid":
-        pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing about the ADS")
+        pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the ADS was not tested")
 
 
 # The debugger in the decision of a policy that could have avoided a failure, for ``--pafot-debug``.
 
 ANY_TIME = 86_400.0
-"""The time that a policy has for a decision in a debugger [s], which is the longest that a world accepts."""
+"""The time limit for a decision in a debugger, which is the longest of a world [s]."""
 
 
 class Stopping(Around):
-    """An ADS in one of whose decisions the debugger opens."""
+    """An ADS with a breakpoint in one decision."""
 
     def __init__(self, ads: Any, number: int, header: str) -> None:
         super().__init__(ads)
         self._left, self._header = number, header
 
     def __call__(self, observation: Any) -> Any:
-        """Decide; at the decision, the debugger stops before the policy is called."""
         self._left -= 1
         if self._left == -1:
             pytest.set_trace(header=self._header)
@@ -195,34 +195,33 @@ class Stopping(Around):
 
 
 def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> None:
-    """Drive a saved scenario, and again with the debugger open in the decision that could have avoided its failure.
+    """Run a saved scenario, and again with the debugger in the decision that could have avoided the failure.
 
     Raises:
-        RequestError: if there is no such decision, or no terminal in which a debugger could run.
+        RequestError: if there is no such decision, or no terminal for a debugger.
     """
     __tracebackhide__ = True
     name, finding = flag("debug"), saved.finding
     if is_worker(item.config):
-        raise RequestError(
-            f"{name}: expected a session in one process, received a worker of pytest-xdist; leave out -n"
-        )
+        raise RequestError(f"{name}: expected a session in one process, received a worker of pytest-xdist. Remove -n")
     if finding is None or replays.harness.policy.drives_itself:
-        raise RequestError(f"{name}: expected a policy that decides, received a vehicle class, which has no decisions")
+        raise RequestError(f"{name}: expected a policy that decides, received a vehicle class without decisions")
     if finding.expect.is_crash:
         raise RequestError(
-            f"{name}: expected a policy that drives, received a finding whose process dies; see its output"
+            f"{name}: expected a policy that drives, but its process dies in this scenario. See the output"
         )
     world = replace(replays.world_of(saved), hang_limit=ANY_TIME)  # type: ignore[type-var]
     run, _ = replays.tried(saved, world, item.nodeid)
+    # The first run finds the decision. The second one stops there, without a time limit.
     number = deciding(run, finding.expect)
     if number is None:
         raise RequestError(
-            f"{name}: expected a run with a decision that could have avoided the failure, received one without: "
-            f"{run.explain().partition(chr(10))[0]}; set a breakpoint in the policy instead, and run pytest with --pdb"
+            f"{name}: no decision in this run could have avoided the failure: {run.explain().partition(chr(10))[0]}. "
+            "Set a breakpoint in the policy instead, and run pytest with --pdb"
         )
     npc = vehicle_of(run, finding.expect)
     where = "" if npc is None else f": NPC {npc} is {seen_of(run.trace, npc, number)}"
     time = run.trace.decision_ticks[number] / run.trace.physics_hz
     header = f"pafot: decision {number} at {time:.1f} s{where}; type s to step into the policy"
-    ads = wrapped(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
+    ads = wrap_ads(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
     GENERATORS.run(world.rollout, finding.scenario, ads)

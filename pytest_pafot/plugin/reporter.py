@@ -1,11 +1,4 @@
-"""The output of the controller from the record of the session: on the terminal, and files for other tools and people.
-
-On the terminal there are live progress, reports of findings, and the summary. The files are that of ``--pafot-json``,
-the page, and a CI job's summary. The JSON file is written at the beginning of the session and again with each new
-finding. So a killed session leaves its own findings, never the file of an earlier session. If writing takes long,
-because there are a thousand findings, the file is written less often, so a killed session may leave it without its last
-findings; their files are on disk.
-"""
+"""The output of the controller: the terminal, the JSON file, the page and the summary of a CI job."""
 
 from __future__ import annotations
 
@@ -43,14 +36,13 @@ from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.text import ascii_text
 
 SUMMARY = "GITHUB_STEP_SUMMARY"
-"""The environment variable in which GitHub Actions names the file for the summary of a step."""
+"""The environment variable with the summary file of a step in GitHub Actions."""
 QUICK, REST = 0.1, 10
-"""Writing the JSON file takes long if it takes more than the first number [s]. While the session runs, the file is then
-written again only after this time multiplied by the second number."""
+"""The duration after which writing the JSON file is slow [s], and the factor for the pause that follows."""
 
 
 class Files:
-    """The writer of the files. What makes them is imported only when there is one to write."""
+    """The writer of the files."""
 
     def __init__(self, config: pytest.Config, clock: Callable[[], float] = monotonic) -> None:
         self._config = config
@@ -62,19 +54,19 @@ class Files:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
-        """Replace the JSON file of an earlier session by the record of this session, which has not ended."""
+        """Replace the JSON file of an earlier session."""
         self.write_json()
 
     @pytest.hookimpl(trylast=True)  # after the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write the page, the JSON file and the summary, even if the session was interrupted."""
+        """Write all files, even if the session was interrupted."""
         self._session.exit = exit_code(session)
         target, asked = value_if_right(self._config, "report"), self._config.getoption(BY_NAME["report"].key)
         if target is not None and (self._session.seen or self._session.ended):
             with self._session.faults(f"{flag('report', target)}: not written"):
                 self._write_page(target)
         elif asked and not self._is_listed:
-            problem = f"{flag('report', asked)}: nothing was written, since no search and no replay ran"
+            problem = f"{flag('report', asked)}: not written, because no search and no replay ran"
             self._session.problems.append(problem)
         self.write_json()
         path, of = os.environ.get(SUMMARY), self._session
@@ -101,7 +93,7 @@ class Files:
         lines.append(f"{flag('report', target)}: not written: {problem}" if problem else f"report: {target} ({told})")
 
     def write_json(self) -> None:
-        """Write the JSON file, unless the session runs and writing takes long."""
+        """Write the JSON file, unless the last writing was slow and the session continues."""
         began, is_over = self._clock(), self._session.exit is not None
         if self._json is None or (not is_over and began < self._next):
             return
@@ -114,6 +106,8 @@ class Files:
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
         problem = not_written(self._config, self._json, path.parent, lambda: write_whole(path, text))
+        # A session with a thousand findings would write most of the time. So the file is written less often, and a
+        # killed session may leave it without its last findings. Their corpus files are on disk.
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
         if is_over:  # A problem is reported once, at the end.
@@ -125,7 +119,7 @@ TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress o
 
 
 class LiveTerminal:
-    """The output while tests run: permanent lines, and on a terminal a line of progress that is overwritten."""
+    """The output while tests run: permanent lines, and on a terminal a line of progress."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -133,19 +127,18 @@ class LiveTerminal:
 
     @property
     def is_parallel(self) -> bool:
-        """True if workers of pytest-xdist run the items."""
         return self._config.pluginmanager.has_plugin("dsession")
 
     @property
     def rewrites(self) -> bool:
-        """True if the line of progress can be overwritten: on a terminal, and if items do not run in parallel."""
+        """Whether the line of progress can be overwritten."""
         if self.writer is None or self.is_parallel:
             return False
         is_terminal = self.writer.isatty  # a value in earlier versions of pytest, a method in later ones
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
-        """Write a line of progress. ``line`` is a function that makes the line for a width in columns."""
+        """Write a line of progress, which ``line`` creates for a width in columns."""
         if self._config.get_verbosity() < 0:
             return
         if not self.rewrites:
@@ -158,7 +151,6 @@ class LiveTerminal:
         self._has_line = True
 
     def erase_progress(self) -> None:
-        """Remove the line of progress, before anything else is written."""
         if self._has_line:
             with uncaptured(self._config):
                 self.writer.rewrite("", erase=True)
@@ -167,7 +159,7 @@ class LiveTerminal:
         self._has_line = False
 
     def write(self, lines: Iterable[str]) -> None:
-        """Write lines that stay on the terminal, after the line of progress is removed."""
+        """Write permanent lines."""
         if self.writer is None:
             return
         with uncaptured(self._config):
@@ -180,12 +172,12 @@ class LiveTerminal:
 
     @property
     def writer(self) -> Any:
-        """The reporter of pytest that writes on the terminal; None if there is none."""
+        """The terminal reporter of pytest, or None."""
         return self._config.pluginmanager.get_plugin("terminalreporter")
 
 
 class Reporter:
-    """The writer on the terminal, only on the controller. It fills the record of the session."""
+    """Hooks that write on the terminal and fill the record of the session."""
 
     def __init__(self, config: pytest.Config, files: Files) -> None:
         self._config = config
@@ -198,10 +190,7 @@ class Reporter:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Take what items report, and show what a reader wants to know before the summary.
-
-        Make room for what pytest prints of a phase; after the teardown of a search, print its new findings.
-        """
+        """Record the reports of items, and print the findings of a search after its teardown."""
         message = getattr(report, "pafot") if report.when == PHASE else None  # noqa: B009
         if message is None:
             self._take_phase(report)
@@ -221,15 +210,11 @@ class Reporter:
         return result
 
     def _show_block(self, report: pytest.TestReport) -> None:
-        """Replace pytest's text on a failure by the block on it, if an item has sent what it found or replayed.
-
-        With ``-v``, or an option for another traceback, the block follows pytest's own text, and with ``-v`` it has all
-        that is known. The failure of a search has a text of its own only with ``-v``, since each of its findings has a
-        block; the text has what its runs have printed.
-        """
+        """Replace pytest's text for a failure with a block on the finding."""
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
+        # Three cases: pytest's text and the block, the block alone, or no text for a search, whose findings have one.
         search, seen = self._record.searches.get(report.nodeid), self._record.seen.get(report.nodeid)
         option, is_whole = self._config.option, self._config.get_verbosity() > 0
         if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
@@ -263,7 +248,6 @@ class Reporter:
             longrepr.chain = [(traceback, crash, None)]
 
     def _take_phase(self, report: pytest.TestReport) -> None:
-        """Take the result of a phase. A saved scenario that failed without a message could not be read or run."""
         node_id, record, when = report.nodeid, self._record, str(report.when)
         if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
             record.reasons.setdefault(node_id, str(report.longrepr))
@@ -284,22 +268,18 @@ class Reporter:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Choose the interval between reports of progress before the items run.
-
-        After them, end the session with the exit code of a usage error if a policy could not be compared with its
-        reference.
-        """
+        """Set the interval of progress reports, and fail a session with a reference that cannot be compared."""
         self._session = session
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
         if named := ", ".join(self._record.incomparable):
-            raise pytest.UsageError(f"the reference cannot be compared, as told by {named}")
+            raise pytest.UsageError(f"the policy cannot be compared with its reference. See {named}")
         return result
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return how pytest counts and prints a replay that passes; ``-v`` prints its result."""
+        """Return how pytest counts and prints a replay that passes."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         shown = dict(report.user_properties).get("pafot")
@@ -307,7 +287,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report findings that are not reported yet."""
+        """Report the remaining findings."""
         self._live.erase_progress()
         # After an interrupt or the death of a worker, a search with new findings has had no teardown.
         for node_id in list(self._pending):
@@ -318,7 +298,7 @@ class Reporter:
                 self._record.problems.extend(unclaimed(self._config))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """Write the plugin's section of the summary: searches, replays, what was left out and problems."""
+        """Write the plugin's section of the summary."""
         own, record = Session(), self._record
         record.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         said = (record.unnamed, record.left, record.notes, record.warnings, record.problems, record.written)
@@ -339,7 +319,6 @@ class Reporter:
             terminalreporter.line(ascii_text(line))
 
     def _take(self, report: pytest.TestReport, kind: str, text: str, more: dict[str, Any]) -> None:
-        """Take an event of an item, and show at once what a reader wants to know before the summary."""
         from pytest_pafot.campaign.events import Progress, Search  # noqa: PLC0415
         from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
@@ -372,9 +351,10 @@ class Reporter:
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _expand(self, search_id: str) -> None:
-        """Report the findings of a search, the worst first, as the items that will replay them in the next session."""
+        """Report the findings of a search, the worst first, like items of the next session."""
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
+        # pytest counts each new finding like an item, with the node id of its future replay.
         pending = self._pending.pop(search_id, {})
         for seen in terminal.ranked([self._record.seen[node_id] for node_id in pending]):
             data, node = pending[seen.node_id]
@@ -391,7 +371,7 @@ class Reporter:
 
 
 def unclaimed(config: pytest.Config) -> list[str]:
-    """Return warnings about the records of processes that died, if no test of this session has processed them."""
+    """Return warnings about dead processes that no test of this session has handled."""
     from pytest_pafot.execution.crash_records import CrashRecordError, leftovers, records_of  # noqa: PLC0415
 
     try:
@@ -399,7 +379,7 @@ def unclaimed(config: pytest.Config) -> list[str]:
     except CrashRecordError as error:
         return [str(error)]
     return [
-        f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
-        f"that test runs it again, or delete {each.path}"
+        f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}. "
+        f"Run that test again, or delete {each.path}"
         for each in found
     ]

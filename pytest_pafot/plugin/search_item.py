@@ -1,4 +1,4 @@
-"""The item of a search: it runs a campaign, sends the events as messages, and fails if there are new findings."""
+"""The item of a search, which fails if there are new findings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import CheckFailed
 from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.collection import COLLECTED, REQUEST, RUN
-from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, of_findings, set_properties
+from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, finding_properties, set_properties
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
@@ -57,23 +57,23 @@ if TYPE_CHECKING:
     from pytest_pafot.execution.runner import Cluster
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
-"""The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
+"""The folders from which this session has removed unfinished files."""
 
 CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
-"""The workers of ``--pafot-dask``, or the error of the connection to them."""
+"""The workers of ``--pafot-dask``, or the error of the connection."""
 
-IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
+IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
 
 
 OF_SUITE = "record_testsuite_property"
-"""The fixture of pytest that records properties of the session."""
+"""The fixture that records properties of the session."""
 
 OF_ONE_CALL = {
     "pytest_benchmark": "can be called only once in a test",
     "pytest_codspeed": "can be called only once in a test",
     "syrupy": "numbers its snapshots by the calls in a test",
 }
-"""The packages whose fixtures fail in a second call of the test function, with the reason."""
+"""Packages with fixtures that fail in a second call of the test function, with the reason."""
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
@@ -84,6 +84,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     Raises:
         RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
     """
+    # The world first, because the versions of its packages are part of the harness.
     world = build_world(request, item.funcargs[collection.WORLD_FIXTURE])
     name, root = collection.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
@@ -120,14 +121,13 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
 
 
 def watch_again(item: pytest.Function, *, is_elsewhere: bool) -> None:
-    """Let pytest-testmon run an item in the next session, too, if it cannot see its lines: they run elsewhere."""
+    """Have pytest-testmon run an item again in the next session if other processes run it."""
     collector = item.config.pluginmanager.get_plugin("TestmonCollect")
     if is_elsewhere and collector is not None:
         collector.testmon.discard_current()
 
 
 def _cluster_of(config: pytest.Config) -> Cluster | None:
-    """Return the workers of ``--pafot-dask``, to which the first search of a session connects; None without it."""
     address = config.getoption(BY_NAME["dask"].key)
     if address is None:
         return None
@@ -148,7 +148,7 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
 
 
 def policy_of(item: pytest.Item) -> Callable[..., Any]:
-    """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
+    """Return the ADS factory of a search or a replay, after its fixtures are set up.
 
     Raises:
         RequestError: if the fixture of the policy returns no factory.
@@ -158,11 +158,10 @@ def policy_of(item: pytest.Item) -> Callable[..., Any]:
 
 
 def bound_test(item: pytest.Function) -> Test:
-    """Return a function of a run that calls the test function with that run and with its fixtures, as pytest does.
+    """Return a function that calls the test function with a run and with its fixtures.
 
     Raises:
-        RequestError: if the test uses a fixture that collects failures instead of raising them. The returned function
-            raises it if pytest-check has collected failures.
+        RequestError: if the test uses a fixture that collects failures instead of raising them.
     """
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
@@ -171,7 +170,7 @@ def bound_test(item: pytest.Function) -> Test:
         if package in OF_ONE_CALL:
             raise RequestError(
                 f"expected a test function that can be called for many runs, received one with the fixture {name!r} of "
-                f"{package}, which {OF_ONE_CALL[package]}; use it in a test without @pafot.search"
+                f"{package}. This fixture {OF_ONE_CALL[package]}. Use it in a test without @pafot.search"
             )
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
@@ -199,16 +198,14 @@ def bound_test(item: pytest.Function) -> Test:
 
 
 def _needs_only_run(item: pytest.Function) -> bool:
-    """Return whether a process that was forked from this one can judge runs: the test function takes only the run.
-
-    With a debugger, and with pytest-check, which collects failures, this process judges all runs.
-    """
+    """Return whether a forked process can evaluate runs because the test function takes only the run."""
+    # Other fixtures may store something in this process. With a debugger or pytest-check, this process evaluates all
+    # runs.
     is_plain = set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
     return is_plain and not item.config.getoption("usepdb", False)
 
 
 def _once(record: Any) -> Callable[[str, object], None]:
-    """Return pytest's function that records a property of the session, without equal properties of later calls."""
     recorded: set[tuple[str, str]] = set()
 
     def record_once(name: str, value: object) -> None:
@@ -220,7 +217,7 @@ def _once(record: Any) -> Callable[[str, object], None]:
 
 
 def run_search(item: pytest.Function, request: Request) -> None:
-    """Run the search of an item. Fail the item if there is a new finding, or if nothing was tested."""
+    """Run a search. Fail the item if there is a new finding, or if the search tested too little."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     today = date.fromisoformat(shared.today)
@@ -238,6 +235,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             replays=replace(replays, harness=chosen),
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         )
+        # An exception in the inner loop, such as an interrupt, is raised in the search, which then reports what it has.
         events = Events(session.run())
         while not events.is_over:
             with events:
@@ -247,10 +245,10 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
     if result.fault is not None:
-        raise shown(result.fault)
+        raise exception_for_pytest(result.fault)
     if result.count:
         if item.config.getoption("usepdb", False) and result.first_exception is not None:
-            first = shown(result.first_exception)
+            first = exception_for_pytest(result.first_exception)
             first.add_note(terminal.failure_message(summary))
             raise first  # so that the debugger starts where the test function failed
         pytest.fail(terminal.failure_message(summary), pytrace=False)
@@ -259,7 +257,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
     alike = [f"{plural(summary.known[id_], 'run')} like {id_}" for id_ in late if id_ in summary.known]
     if alike:
-        _fail(item, "failures that were saved after this session collected its tests; run it again", alike)
+        _fail(item, "run pytest again, since these failures were saved after the collection", alike)
     if summary.reason is Ending.REPLAYS:
         return
     if result.skip is not None:
@@ -270,22 +268,21 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 
 
-def shown(exception: BaseException) -> BaseException:
-    """Return the exception to raise for pytest; for a :class:`PlainFailure`, a failure without a traceback."""
+def exception_for_pytest(exception: BaseException) -> BaseException:
+    """Return the exception for pytest, without a traceback for a :class:`PlainFailure`."""
     is_plain = isinstance(exception, PlainFailure)
     return pytest.fail.Exception(str(exception), pytrace=False) if is_plain else exception
 
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """The sender of the events of a search as messages."""
+    """The sender of the events of a search to the controller."""
 
     item: pytest.Function
     settings: Settings
     sent: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
 
     def send(self, event: SearchEvent) -> None:
-        """Send a message for each event that the terminal or the page reports."""
         if isinstance(event, SearchStarted):
             set_properties(self.item.user_properties, seed=event.seed, base_seed=self.settings.seed)
             asked = {name: most for name in BUDGETS if (most := getattr(self.settings, name)) is not None}
@@ -296,7 +293,7 @@ class SearchMessages:
         elif isinstance(event, Seen):
             self._send_finding(event)
         elif isinstance(event, Search):
-            set_properties(self.item.user_properties, **of_findings(self.sent.values()))
+            set_properties(self.item.user_properties, **finding_properties(self.sent.values()))
             if self.sent:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
         if isinstance(event, (Progress, Search)):
@@ -314,11 +311,8 @@ class SearchMessages:
 
 
 def _report(item: pytest.Item, seen: Seen) -> dict[str, Any]:
-    """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
-
-    pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
-    """
-    error = shown(seen.raised)
+    """Return the serialised failure report of a new finding, with the node id of its future replay."""
+    error = exception_for_pytest(seen.raised)
     context = error.__context__
 
     def fail() -> None:
@@ -327,12 +321,13 @@ def _report(item: pytest.Item, seen: Seen) -> dict[str, Any]:
         finally:  # If an interrupt ends the search, Python has made it the context of the failure.
             error.__context__ = context
 
+    # pytest's own hooks create the report, so marks of the test function, such as xfail, apply to it.
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     report.nodeid = seen.node_id
     report.location = (*report.location[:2], collection.saved_name(item, seen.id))
     item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
-    set_properties(report.user_properties, **of_findings([seen]))
+    set_properties(report.user_properties, **finding_properties([seen]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 
@@ -344,7 +339,6 @@ def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
 
 def _no_collecting(what: str) -> str:
     return (
-        f"expected a test function that raises at its first failure, received a function with {what}, which collects "
-        "failures and lets the function end as if it had passed; write `assert ...`, and a separate test for each "
-        "property"
+        f"expected a test function that raises at its first failure, received one with {what}, which only collects "
+        "failures. The function ends as if it had passed. Write `assert ...`, and a separate test for each property"
     )

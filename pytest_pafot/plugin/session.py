@@ -1,4 +1,4 @@
-"""Values of the whole session, which the controller and all workers of pytest-xdist share."""
+"""The values of a session that the controller and the workers of pytest-xdist share."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from pytest_pafot.report.session import Session
 from pytest_pafot.support.errors import RequestError, flag
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
-"""The type of the ini key for each kind of option. The keys of all other kinds are strings."""
+"""The types of ini keys that are not strings, by kind of option."""
 _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
-"""The last word or quoted text of a message: pytest's messages about an ini key end with the key's value."""
+"""The value of an ini key at the end of pytest's error message."""
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """Declare all options of the plugin to pytest, on the command line and in configuration files."""
-    group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
+    """Declare all options of the plugin to pytest."""
+    group = parser.getgroup("pafot", "search for traffic in which a driving policy crashes (pytest-pafot)")
     for option in OPTIONS:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
@@ -44,12 +44,10 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
-    """Return the value of every option for an item whose mark has the arguments ``marker``.
-
-    Arguments that are not options are ignored.
+    """Return the values of all options for an item with some arguments in its mark.
 
     Raises:
-        RequestError: if a value is wrong; the message names its source.
+        RequestError: if a value is wrong. The message names its source.
     """
     for option in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
         if option.is_argument:
@@ -58,7 +56,7 @@ def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
     # The first source with a budget decides on both.
     budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
     given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
-    # Generations mean the paper's algorithm, also if a source before gives the number of runs.
+    # Generations mean the paper's algorithm, even if a source before gives the number of runs.
     values["algorithm"] = values["algorithm"] or ("pafot" if any(budget[1] for budget in budgets) else None)
     return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
 
@@ -67,13 +65,13 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
     """Return the value of an option for a mark with some arguments.
 
     Raises:
-        RequestError: if the value is wrong; the message names its source.
+        RequestError: if the value is wrong. The message names its source.
     """
     return next((value for value in _values(config, option, marker) if value is not None), option.default)
 
 
 def value_if_right(config: pytest.Config, name: str) -> Any:
-    """Return the value of an option of the whole session; None if it is wrong, which each search reports."""
+    """Return the value of an option of the session, or None if it is wrong. Each search reports the error."""
     try:
         return option_value(config, BY_NAME[name], {})
     except RequestError:
@@ -81,7 +79,7 @@ def value_if_right(config: pytest.Config, name: str) -> Any:
 
 
 def _values(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Iterator[Any]:
-    """Yield an option's value on the command line, in the mark and in the configuration file; None without one."""
+    """Yield the value on the command line, in the mark and in the configuration file."""
     yield _read(option, option.flag, config.getoption(option.key))
     argument = marker.get(option.name) if option.is_argument else None
     yield _read(option, f"@pafot.search({option.name}=...)", argument)
@@ -104,13 +102,13 @@ LISTED = 5  # the number of files that a line names
 
 
 def terminal_width() -> int:
-    """Return the width of the terminal in columns, as pytest determines it."""
+    """Return the width of the terminal [columns]."""
     columns = shutil.get_terminal_size((80, 24)).columns
     return columns if columns >= 40 else 80
 
 
 class Shared:
-    """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
+    """The values that the controller chooses and every worker uses."""
 
     def __init__(self, **chosen: Any) -> None:
         self.progress_seconds = LOG_SECONDS  # interval between reports of progress [s]
@@ -124,7 +122,7 @@ class Shared:
 
 
 class Inventory(NamedTuple):
-    """The items and files that a process has collected, as texts that pytest-xdist can send to the controller."""
+    """The collected items and files as strings that pytest-xdist can send."""
 
     driven: set[str]  # node ids of the items to run that drive policies
     corpora: set[str]  # the corpora of the collected tests
@@ -133,12 +131,12 @@ class Inventory(NamedTuple):
 
 
 def first(names: Sequence[str]) -> str:
-    """Return the first five names in a line, and how many more there are."""
+    """Return the first five names, and how many more there are."""
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def cause_of(config: pytest.Config) -> str:
-    """Return why a session must not pass if something was not tested; empty if it may."""
+    """Return why a session must not pass if something was not tested, or an empty string."""
     strict = BY_NAME["strict_health"]
     return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
 
@@ -149,28 +147,27 @@ def call_of(config: pytest.Config) -> list[str]:
 
 
 def path_of(config: pytest.Config, arg: str) -> Path:
-    """Return the path in a command-line argument such as ``file.py::test``, without the names of tests."""
+    """Return the path in a command-line argument such as ``file.py::test``."""
     return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
 
 
 SHARED = pytest.StashKey[Shared]()
 INVENTORY = pytest.StashKey[Inventory]()
-"""What was collected; in a controller of pytest-xdist, by its workers."""
 GIVEN = pytest.StashKey[list[str]]()
-"""The paths and node ids that this call of pytest was given, and not its settings."""
+"""The paths and node ids on the command line."""
 SESSION = pytest.StashKey[Session]()
-"""The record of the session; in a worker of pytest-xdist, it stays empty."""
+"""The record of the session, which stays empty in a worker."""
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
-    """Return a context in which output reaches the terminal during a test, because pytest does not capture it."""
+    """Return a context in which output reaches the terminal during a test."""
     manager = config.pluginmanager.get_plugin("capturemanager")
     silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
     return silent
 
 
 def base_line(config: pytest.Config) -> str:
-    """Return a line with the base seed of searches without arguments; empty if no search runs."""
+    """Return a line with the base seed of searches, or an empty string."""
     try:
         settings = resolve(config, {})
     except RequestError as error:
@@ -181,7 +178,8 @@ def base_line(config: pytest.Config) -> str:
 
 
 def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) -> str:
-    """Return how many runs the searches with these arguments may make; empty if that is unknown."""
+    """Return a line with the largest number of runs, or an empty string if it is unknown."""
+    # The counts are upper limits: a search may end early.
     most = Counter[str]()
     for marker in markers:
         try:
@@ -190,24 +188,24 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
     counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
-    return counts and f"pafot: at most {counts}, and about as many decisions again to simplify what fails"
+    return counts and f"pafot: at most {counts}; simplifying the failures takes about as many decisions again"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
-    """Return a warning about a day of ``--pafot-today`` that is over everywhere; empty for any other."""
+    """Return a warning if the day of ``--pafot-today`` is in the past in every time zone."""
     from pytest_pafot.support.text import day_of  # noqa: PLC0415  (of an option that few sessions have)
 
     day = day_of(asked)
     if day is None or day >= today - timedelta(days=1):
         return []
     return [
-        f"{flag('today', asked)}: that day is over, so failures that were accepted up to a day since then count as "
-        "accepted; leave the option out, or give the day of this session"
+        f"{flag('today', asked)}: this day is in the past. Accepted failures whose last day has passed since then "
+        "still count as accepted. Remove the option, or pass the day of this session"
     ]
 
 
 def end_in_order(config: pytest.Config) -> None:
-    """Let SIGTERM and SIGHUP interrupt the session, which would otherwise leave processes and no results behind."""
+    """Interrupt the session on SIGTERM and SIGHUP, so that it leaves no processes and writes its results."""
     from pytest_pafot.support.process import interrupted_by_signals  # noqa: PLC0415
     from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
@@ -217,11 +215,8 @@ def end_in_order(config: pytest.Config) -> None:
 
 
 def guard_exits(config: pytest.Config) -> None:
-    """Let no ``os._exit`` or ``os.exec*`` of a policy in this process pass a session that has not passed.
-
-    After such a session the functions stay replaced, because a thread or an exit function may call them. An interrupted
-    session ends soon, whatever threads the policy has started.
-    """
+    """Fail the session if a policy calls ``os._exit`` or ``os.exec*`` in this process."""
+    # After the session the functions stay replaced, because a thread or an exit function may still call them.
     if isinstance(os._exit, partial):
         return  # in a session that a test of another one runs
     owner, plugins = getpid(), config.pluginmanager
@@ -237,7 +232,8 @@ def guard_exits(config: pytest.Config) -> None:
             if not code():
                 caller = traceback.format_stack(limit=2)[0].strip()
                 with uncaptured(config):
-                    print(f"\npafot: this ends the session; {flag('isolate')} contains it\n  {caller}", flush=True)
+                    note = f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
+                    print(f"\n{note}\n  {caller}", flush=True)
             if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:  # os.abort has no status
                 own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
         own[name](*given, **named)
@@ -255,17 +251,18 @@ def guard_exits(config: pytest.Config) -> None:
 
 
 def exit_code(session: pytest.Session) -> int:
-    """Return the exit code of a session that ends. A second Ctrl-C may come before pytest has noted the first one."""
+    """Return the exit code of a session that ends."""
+    # A second Ctrl-C may come before pytest has noted the first one.
     is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
     return int(pytest.ExitCode.INTERRUPTED if is_interrupted else session.exitstatus)
 
 
 def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Write an output file to a folder by a function; return why it is not written and what to do, or an empty text.
+    """Write a file with a function. Return why it was not written and what to do, or an empty string.
 
-    A relative path that leads through a linked folder is refused, since the link may be part of a checkout. ``name`` is
-    the path as the user has named it.
+    ``name`` is the path as the user has written it.
     """
+    # A link below the rootdir may be part of a checkout, and lead anywhere.
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     if link is not None:
         return refusal(link)
@@ -284,10 +281,10 @@ def is_worker(config: pytest.Config) -> bool:
 
 
 class Header:
-    """The hook that adds a line to the header of a verbose session."""
+    """The hook for the header of a verbose session."""
 
     def pytest_report_header(self) -> str:
-        """Return a line that says whether the simulation kernel is compiled; the kernel is not imported for that."""
+        """Return a line that says whether the simulation kernel is compiled."""
         from pytest_pafot.support.compiled import why_interpreted  # noqa: PLC0415  (most sessions are not verbose)
 
         reason = why_interpreted()
@@ -296,25 +293,21 @@ class Header:
 
 # Messages from a running item to the controller.
 #
-# A message is a test report of a phase that only this plugin knows. pytest-xdist passes the message to the controller
-# at once, like every report. Other plugins take it for the report of a passed phase without output.
+# A message is a test report of a phase that only this plugin knows. pytest-xdist sends it to the controller
+# immediately, like every report. Other plugins take it for the report of a passed phase without output.
 
 PHASE = "pafot"  # the phase of a report that is a message
 
 AS_SAVED = "pafot_saved"
-"""The attribute of a report that holds the id and the file of a failing saved scenario, for programs.
-
-Its value is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot
-send such a text.
-"""
+"""The attribute of a report with the id and the file of a failing saved scenario, as JSON in ASCII."""
 
 
 class Messages:
-    """The hooks through which messages go, in each process of a session."""
+    """The hooks that pass messages to the controller."""
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logreport(self) -> Generator[None, object, object]:
-        """Let all that listen to a report take it, before an interrupt ends the session."""
+        """Postpone an interrupt until all plugins have received a report."""
         from pytest_pafot.support.process import postponed  # noqa: PLC0415  (slow to import; few sessions have marked tests)
 
         with postponed():
@@ -322,11 +315,11 @@ class Messages:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return empty texts for messages, so that pytest does not count them as results."""
+        """Hide messages from pytest's results."""
         return ("", "", "") if getattr(report, "when", None) == PHASE else None
 
 
 def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
-    """Return a report on a phase of an item, which has passed unless it is given otherwise."""
+    """Return a report on a phase of an item, by default a passed one."""
     passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
     return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})

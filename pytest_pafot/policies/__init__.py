@@ -1,12 +1,7 @@
 """Policies from files and programs, each as an ADS factory in one line.
 
-A factory is a frozen value that can be pickled. A factory of a file loads its policy once, when a search begins or a
-run needs it, on the CPU and with one thread. The library that it needs is imported only then. Before the first run in a
-:class:`pytest_pafot.World` it compares the world's observations and actions with those of the policy. A factory of a
-program starts it in each process and compares nothing.
-
-Models of Stable-Baselines3 and statistics of VecNormalize are pickles: loading them runs the code that they contain.
-They are your own files, named in your own test; no corpus file can name a pickle.
+A factory is a frozen value that can be pickled. Models of Stable-Baselines3 and statistics of VecNormalize are pickles,
+so loading them runs the code that they contain. A corpus file cannot name a pickle.
 """
 
 from __future__ import annotations
@@ -35,17 +30,17 @@ def sb3(
 ) -> Sb3Policy:
     """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Needs ``pytest-pafot[sb3]``.
 
-    The ADS drives in a :class:`pytest_pafot.World` that has the observations and actions of the model's training. Its
-    decisions are exactly those of ``model.predict``.
+    The world must have the observations and actions of the training. Decisions are exactly those of ``model.predict``.
 
     Args:
-        file: the zip file of the model's ``save``.
-        vecnormalize: the file of ``VecNormalize.save``, if it was trained with VecNormalize, for single or for stacked
-            observations.
-        frame_stack: number of observations that it sees at once, as stacked by ``VecFrameStack``.
-        algorithm: its name, such as ``"PPO"`` or ``"QRDQN"``, or its class; by default derived from the zip file.
-        deterministic: True for the action that the model prefers; False for one that it draws at random.
+        file: zip file that ``model.save`` wrote.
+        vecnormalize: file that ``VecNormalize.save`` wrote, for single or stacked observations, if the model was
+            trained with VecNormalize.
+        frame_stack: number of observations that the model receives together, as stacked by ``VecFrameStack``.
+        algorithm: name of the algorithm, such as ``"PPO"``, or its class. By default, the zip file determines it.
+        deterministic: True for the action that the model prefers, False for a random action from its distribution.
     """
+    # The model is loaded on the CPU, with one thread, when a search starts or a run needs it.
     from pytest_pafot.policies.baselines import Sb3Policy  # noqa: PLC0415  (imports numpy, and a test may never use it)
 
     statistics = None if vecnormalize is None else Path(vecnormalize).absolute()
@@ -61,21 +56,20 @@ def sb3(
 def process(command: Sequence[str], *, keep: bool = True, timeout: float | None = None) -> ProgramLoader:
     """Make an ADS factory from a program, which reads a line of JSON per observation and writes one per decision.
 
-    Each process that simulates starts the program for itself. At the end of a run, the session prints what the program
-    wrote to stderr. Programs are not available on Windows.
+    Each process that simulates starts its own program. Programs are not available on Windows.
 
     Args:
-        command: program and arguments, as for ``subprocess``, relative to the folder that pytest runs in.
-        keep: True if it continues with the next scenario; False to start it again for each. One that ended, hung or
-            gave no readable answer is started again in either case.
-        timeout: time to wait for an answer [s], after which it is killed; by default only the world's ``hang_limit``
-            ends the wait.
+        command: program and arguments in a list, as for ``subprocess``, relative to the folder in which pytest runs.
+        keep: True if the program continues with the next scenario, False to restart it for each one. A program that
+            ended, hung or returned no valid line is always restarted.
+        timeout: time to wait for a line [s], after which the program is killed. By default, only the world's
+            ``hang_limit`` ends the wait.
     """
     from pytest_pafot.policies.programs import ProgramLoader  # noqa: PLC0415  (imported only if used)
     from pytest_pafot.support.errors import refused_policy  # noqa: PLC0415
 
     if isinstance(command, (str, bytes, os.PathLike)) or not command:
         words = command.split() if isinstance(command, str) else [command]
-        example = f"write process({words!r})" if command else 'name it, as in process(["./planner"])'
+        example = f"write process({words!r})" if command else 'name the program, as in process(["./planner"])'
         raise refused_policy("a program and its arguments in a list", repr(command), example)
     return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers that they were trained in."""
+"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers of their training."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from pytest_pafot.support.errors import refused_policy as refused
 
 Array = npt.NDArray[Any]
 
-TOLD_BY = {
+# The algorithms by a mark in the zip: the name of a parameter, or a part of the module name of the policy class. A zip
+# does not name its algorithm, so the first mark in it decides. DDPG is loaded as TD3, from which it derives.
+ALGORITHM_MARKS = {
     "_last_lstm_states": "RecurrentPPO",
     "maskable": "MaskablePPO",
     "cg_max_steps": "TRPO",
@@ -35,31 +37,23 @@ TOLD_BY = {
     "target_entropy": "SAC",
     "gae_lambda": "A2C",
 }
-"""The algorithms by a mark in the zip: the name of a parameter, or a part of the name of the policy class's module.
 
-A zip does not name its algorithm, so the first mark that it has decides. DDPG is loaded as TD3, from which it derives.
-"""
-
-OF_TRAINING = {
+# Replacements of parameters that only training needs: functions from another Python version, or large memory.
+TRAINING_PARAMETERS = {
     "learning_rate": 0.0,
     "lr_schedule": 0.0,
     "clip_range": 0.0,
     "exploration_schedule": 0.0,
     "buffer_size": 1,
 }
-"""Replacements of parameters that only training needs: functions from a different Python version, or large memory."""
 
 
-KEPT = 8
-"""The largest number of models that stay loaded in a process, so that each run gets its ADS without a delay."""
+MOST_LOADED_MODELS = 8  # models that stay loaded in a process, so that each run gets its ADS without a delay
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sb3Policy:
-    """The factory that :func:`pytest_pafot.policies.sb3` makes.
-
-    Its model is loaded once in a process; forked processes inherit the loaded model.
-    """
+    """The factory that :func:`pytest_pafot.policies.sb3` makes."""
 
     file: Path
     vecnormalize: Path | None = None
@@ -69,23 +63,22 @@ class Sb3Policy:
 
     def __post_init__(self) -> None:
         if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
-            raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give the number that VecFrameStack had")
+            raise refused("a frame_stack of 1 or more", repr(self.frame_stack), "use the number of the training")
 
     @functools.cached_property
     def loading_hint(self) -> str:
-        """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not needed."""
+        """A sentence that explains why statistics of VecNormalize seem to be missing, or an empty string."""
         try:
             return "" if self.vecnormalize is not None else _missing_statistics(self.file)
         except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
             return ""
 
     def preload(self) -> None:
-        """Load the model now, so that processes forked later inherit it and its libraries, which take seconds."""
-        _ = self.loaded
+        _ = self.loaded  # forked processes inherit the model and its libraries, which take seconds to load
 
     @functools.cached_property
     def loaded(self) -> BaselineModel:
-        """The result of :meth:`load`, which equal factories share."""
+        """The model, which equal factories share."""
         files = [path for path in (self.file, self.vecnormalize) if path is not None]
         return _loaded(self, tuple(map(_changed_at, files)))
 
@@ -93,10 +86,9 @@ class Sb3Policy:
         return {name: value for name, value in self.__dict__.items() if name != "loaded"}
 
     def load(self) -> BaselineModel:
-        """Load the model on the CPU."""
         _library("torch").set_num_threads(1)
         zipped = _parameters(self.file)
-        given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
+        given = {name: value for name, value in TRAINING_PARAMETERS.items() if name in zipped}
         model = self._class(zipped).load(self.file, device="cpu", custom_objects=given)
         statistics = None
         if self.vecnormalize is not None:
@@ -109,25 +101,25 @@ class Sb3Policy:
         if not name:
             module = str(dict(zipped.get("policy_class", {})).get("__module__", ""))
             marks = {*zipped, *module.split(".")}
-            name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
+            name = next((name for mark, name in ALGORITHM_MARKS.items() if mark in marks), None)
         if name is None:
-            raise refused("a zip whose algorithm can be recognised", str(self.file), 'give algorithm="PPO", or a class')
+            raise refused("a zip of a known algorithm", str(self.file), 'pass it, such as algorithm="PPO"')
         if not isinstance(name, str):
             return name
         own = getattr(_library("stable_baselines3"), name, None)
         found = own or getattr(_library("sb3_contrib"), name, None)
         if found is None:
-            raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "give its class")
+            raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "pass the class instead")
         return found
 
     def __call__(self) -> BaselineAds:
-        """Return a new ADS, which has not seen any observation."""
+        """Return a new ADS, without any earlier observation."""
         return BaselineAds(self.loaded)
 
     def check_world(self, world: Any) -> None:
-        """Compare the actions, and the shape and type of the stacked observations, with those of the model.
+        """Check that the actions, and the shape and type of the stacked observations, fit the model.
 
-        What a simulator of the user's observes shows only in a run, in which the model refuses what it cannot take.
+        Observations of the user's own simulator are unknown before a run, in which the model rejects unsuitable ones.
         """
         model = self.loaded
         if not getattr(world, "is_native", False) and not model.fits(world.observation_space, world.action_space):
@@ -135,40 +127,28 @@ class Sb3Policy:
             stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
             raise refused(
                 f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
-                _named(world),
-                "give it the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
+                _describe_world(world),
+                "use the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
             )
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MOST_LOADED_MODELS)
 def _loaded(policy: Sb3Policy, changed_at: tuple[int, ...]) -> BaselineModel:
-    """Load a model, or return the loaded one; if its files have changed, as happens in a notebook, load it again."""
-    return policy.load()
+    return policy.load()  # again if a file has changed, as happens in a notebook
 
 
 def _changed_at(file: Path) -> int:
-    """Return when a file was changed [ns].
-
-    Raises:
-        AdsFactoryError: if the file cannot be read.
-    """
     try:
         with file.open("rb") as opened:
-            return os.fstat(opened.fileno()).st_mtime_ns
+            return os.fstat(opened.fileno()).st_mtime_ns  # opening it also shows whether it can be read
     except OSError as error:
         raise refused("a file that can be read", f"{file} ({error.strerror})", "correct the path") from None
 
 
 class BaselineModel:
-    """A loaded model with the changes that the wrappers of its training made to observations.
+    """A loaded model, with the changes that the wrappers of its training made to observations."""
 
-    Args:
-        model: an object with ``predict``, ``observation_space`` and ``action_space``.
-        statistics: a ``VecNormalize`` without its environments, or None.
-        frame_stack: number of observations that the model sees at once.
-        deterministic: the argument ``deterministic`` of ``model.predict``.
-    """
-
+    # `statistics` is a `VecNormalize` without its environments, or None.
     def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
         self.observation_space, self.action_space = model.observation_space, model.action_space
         self._model, self._statistics = model, statistics
@@ -186,12 +166,10 @@ class BaselineModel:
         is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
         return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
 
-    def seen(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
+    def stack(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
         """Return the stacked observations including a new one, and the model's input.
 
-        Args:
-            frames: the previous stack of observations; None at the first observation.
-            observation: the environment's observation.
+        ``frames`` is the previous stack; None at the first observation.
         """
         if isinstance(observation, dict):
             return None, self._normalised(observation)
@@ -199,7 +177,7 @@ class BaselineModel:
         own = own if self._is_of_stack else self._normalised(own)
         if self._frame_stack == 1:
             return None, own
-        frames = pushed(frames, own, self._frame_stack, self.observation_space.shape)
+        frames = push_observation(frames, own, self._frame_stack, self.observation_space.shape)
         return frames, self._normalised(frames) if self._is_of_stack else frames
 
     def _normalised(self, observation: Any) -> Any:
@@ -223,38 +201,31 @@ class BaselineAds:
 
     def __call__(self, observation: Any) -> Any:
         """Return the environment's action."""
-        self._frames, seen = self._model.seen(self._frames, observation)
+        self._frames, seen = self._model.stack(self._frames, observation)
         action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
         self._is_first = False
         return action
 
 
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
-    """Return the axis along which ``count`` arrays of the shape ``one`` stack to the shape ``stacked``, or None."""
+    """Return the axis along which ``count`` arrays of one shape stack to another shape, or None."""
     for axis in range(len(one)):
         if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
             return axis
     return None
 
 
-def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
-    """Return the last ``count`` observations as one array, the newest last; zeros stand for missing observations.
-
-    ``VecFrameStack`` of Stable-Baselines3 stacks in this way.
-
-    Args:
-        frames: the previous array; None at the first observation.
-        observation: the newest observation.
-        count: number of observations in the array.
-        shape: shape of the array.
+def push_observation(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
+    """Return the last ``count`` observations as one array of a shape, the newest last.
 
     Raises:
         AdsFactoryError: if ``count`` observations do not give an array of this shape.
     """
+    # `VecFrameStack` of Stable-Baselines3 stacks in this way. Zeros replace missing observations.
     axis = stacking_axis(observation.shape, shape, count)
     if axis is None:
-        fix = "give the frame_stack= of the training"
-        raise refused(f"{count} observations that make one of shape {shape}", f"observations {observation.shape}", fix)
+        fix = "use the frame_stack= of the training"
+        raise refused(f"{count} observations that stack to the shape {shape}", f"observations {observation.shape}", fix)
     if frames is None:
         frames = np.zeros(shape, observation.dtype)
     _, older = np.split(frames, [observation.shape[axis]], axis)
@@ -262,23 +233,20 @@ def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence
 
 
 def _parameters(file: Path) -> dict[str, Any]:
-    """Return the JSON description of the model in a zip; nothing is unpickled."""
+    """Return the JSON description of the model in a zip. Nothing is unpickled."""
     try:
         with zipfile.ZipFile(file) as zipped:
             parameters: dict[str, Any] = json.loads(zipped.read("data"))
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
         received = f"{file} ({type(error).__name__}: {error})"
-        raise refused("a zip that the save() of a Stable-Baselines3 model wrote", received, "save it again") from None
+        raise refused("a zip that a Stable-Baselines3 model has saved", received, "save the model again") from None
     return parameters
 
 
 def _missing_statistics(file: Path) -> str:
-    """Say why statistics of VecNormalize are probably missing for a zip; empty if there is no evidence.
-
-    No file names the wrappers of a training. But ``learn`` stores the last observations from before VecNormalize in the
-    zip, or None without VecNormalize. Only for algorithms with a replay buffer this is no evidence, because they store
-    such observations in either case.
-    """
+    # No file names the wrappers of a training. But `learn` stores the last observations from before VecNormalize in the
+    # zip, or None without VecNormalize. Algorithms with a replay buffer store them in either case, so this is no
+    # evidence then.
     beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
     found = next((each for each in beside if _is_statistics(each)), None)
     zipped = _parameters(file)
@@ -286,30 +254,24 @@ def _missing_statistics(file: Path) -> str:
     given = f"vecnormalize={name if found is None else str(found)!r}"
     if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
         return (
-            f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given: unless "
-            "only rewards were normalised, the model now sees different numbers than in training; "
-            f"give sb3(..., {given})"
+            f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given. Unless "
+            "only rewards were normalised, the model now receives other numbers than in training. "
+            f"Use sb3(..., {given})."
         )
     if found is None:
         return ""
     return (
-        f"no statistics of VecNormalize are given for {file.name}, but the file {name} contains some: if the model was "
-        f"trained with them, it now sees different numbers than in training; give sb3(..., {given})"
+        f"no statistics of VecNormalize are given for {file.name}, but the file {name} contains some. If the model was "
+        f"trained with them, it now receives other numbers than in training. Use sb3(..., {given})."
     )
 
 
 def _is_statistics(file: Path) -> bool:
-    """Return whether ``VecNormalize.save`` wrote a file: the class name at its start shows it; nothing is unpickled."""
     with file.open("rb") as opened:
-        return b"vec_normalize" in opened.read(200)
+        return b"vec_normalize" in opened.read(200)  # the class name at the start; nothing is unpickled
 
 
 def _library(name: str) -> Any:
-    """Import a library that the user may not have installed.
-
-    Raises:
-        AdsFactoryError: if the library is not installed; the message has the command that installs it.
-    """
     try:
         return import_late(name)
     except ModuleNotFoundError as error:
@@ -318,8 +280,7 @@ def _library(name: str) -> Any:
         raise refused(f"{name} for this policy", "a Python without it", install("sb3")) from None
 
 
-def _named(world: Any) -> str:
-    """Describe a world with its observations and actions, for an error message."""
+def _describe_world(world: Any) -> str:
     name = getattr(world, "env_id", type(world).__name__)
     if world.observation_space is None:
         return f"{name}, whose observations are pafot.Observation and whose actions are in SI units"

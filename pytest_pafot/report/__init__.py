@@ -1,1 +1,1 @@
-"""Texts and pages for people. This package renders values and decides nothing."""
+"""The texts and pages that users read."""

@@ -1,7 +1,4 @@
-"""The report page: one self-contained HTML file, made from the data that all items send; it needs no network.
-
-A page has a list of findings, an article on each, and each search. Without its scripts it shows the same text.
-"""
+"""The report page: one self-contained HTML file that needs no network, and shows the same text without its scripts."""
 
 from __future__ import annotations
 
@@ -31,15 +28,7 @@ from pytest_pafot.support.text import capitalised, content_hash, json_in_script,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """A finding on a page.
-
-    Attributes:
-        seen: the finding, as the session saw it.
-        view: what its item sent for the page: see :func:`pytest_pafot.report.views.finding_view`.
-        runs: number of runs of the search that failed in this way.
-        label: ``new``, ``still failing``, ``flaky`` and so on.
-        command: the command that runs it again.
-    """
+    """A finding on a page, with its data, the number of runs that failed in this way, its result and its command."""
 
     seen: Seen
     view: Mapping[str, Any]
@@ -49,7 +38,7 @@ class Shown:
 
     @property
     def test(self) -> str:
-        """The name of its test, with its parameters."""
+        """The name of its test, with the parameters."""
         return self.seen.finding.test.rpartition("::")[2]
 
     @property
@@ -61,12 +50,12 @@ class Shown:
 
 
 def text(value: object) -> str:
-    """Escape a text for HTML, so that nothing in it is markup. Unprintable characters become visible escapes."""
+    """Escape a string for HTML, and make unprintable characters visible."""
     return escape(visible_lines(str(value)), quote=True)
 
 
 def prose(value: object) -> str:
-    """Escape a text for HTML. A line ends after no number with a unit, and inside a name only between its words."""
+    """Escape a string for HTML, with line breaks only where a reader expects them."""
     joined = re.sub(r"(?<=\d) (?=m\b|s\b)|(?<=NPC) (?=\d)", "\u00a0", text(value))
     return re.sub(r"(?<=\w\w)/|_|::|\[", r"\g<0><wbr>", joined)
 
@@ -77,7 +66,6 @@ def _facts(pairs: Iterable[tuple[str, object]]) -> str:
 
 
 def _with_button(command: str) -> str:
-    """Return the HTML of a command with a button that copies the command."""
     return (
         f'<div><p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
         '<button type="button" data-copy="code" aria-label="Copy: Command">Copy</button></p></div>'
@@ -86,11 +74,8 @@ def _with_button(command: str) -> str:
 
 # The findings: their list, and an article on each with a place for its picture.
 
+# The symbols differ at a glance, even without colour.
 SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2", "error": "\u25a0"}
-"""Symbols by who is responsible, of a failed check, or of an error of the ego's policy.
-
-They differ at a glance, even without colour.
-"""
 
 WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
 
@@ -101,14 +86,13 @@ def mark(finding: Shown) -> str:
 
 
 def _keys(findings: Iterable[Shown]) -> list[str]:
-    """Return a unique key for each finding, for links: its id, with a number if several findings share it."""
     ids = [finding.seen.id for finding in findings]
     before = (ids[:number].count(id_) for number, id_ in enumerate(ids))
     return [f"{id_}-{count + 1}" if count else id_ for id_, count in zip(ids, before, strict=True)]
 
 
 def finding_list(findings: Sequence[Shown]) -> str:
-    """Return an HTML list of links to all findings below the names of their tests; an empty text if there are none."""
+    """Return an HTML list of links to all findings, grouped by test."""
     if not findings:
         return ""
     counts = Counter(each.who for each in findings)
@@ -128,7 +112,7 @@ def finding_list(findings: Sequence[Shown]) -> str:
 
 
 def finding_article(finding: Shown, index: int) -> str:
-    """Return the HTML article on one finding, with an empty place for its picture."""
+    """Return the HTML article on one finding, with an empty element for its picture."""
     seen, view, is_check, responsible = finding.seen, finding.view, finding.who == "check", finding.seen.responsible
     besides, traffic = view["besides"], STYLES[seen.finding.scenario.traffic].described
     tags = [finding.label, view["assertion"] * (not is_check), traffic, plural(finding.runs, "run"), seen.worst]
@@ -157,7 +141,6 @@ def finding_article(finding: Shown, index: int) -> str:
 
 
 def _paragraphs(paragraphs: Iterable[Sequence[Any]]) -> str:
-    """Return the HTML of paragraphs, each with lines of the user's code by whom they are about."""
     shown = ""
     for title, sentences, groups in paragraphs:
         run_in = f"<b>{text(title)}.</b> " if title else ""
@@ -169,7 +152,6 @@ def _paragraphs(paragraphs: Iterable[Sequence[Any]]) -> str:
 
 
 def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
-    """Return an HTML list of the findings that the page does not show whole; ``whole`` is the number of the others."""
     if not findings:
         return ""
     rows = "".join(
@@ -177,8 +159,8 @@ def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
         f"<code>{text(session.command(each, 'python', '-m', 'pytest'))}</code></li>"
         for each in findings
     )
-    note = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
-    return _section(plural(len(findings), "further finding"), f'<p class="note">{note}</p><ul id="further">{rows}</ul>')
+    note = f"This page shows the {whole} worst findings in full. The others are listed here, the worst first."
+    return _section(plural(len(findings), "more finding"), f'<p class="note">{note}</p><ul id="further">{rows}</ul>')
 
 
 def _section(title: str, content: str) -> str:
@@ -186,11 +168,10 @@ def _section(title: str, content: str) -> str:
 
 
 def _search(search: Search) -> str:
-    """Return the HTML article on one search."""
     made, asked = search.generations, search.asked.get("generations", search.generations)
     figures = (
         ("runs", search.runs),
-        ("failing", search.failing),
+        ("failed", search.failing),
         ("generations", (made or "") if asked == made else f"{made} of {asked}"),
         ("outcomes", _counts(search.outcomes)),
         ("responsibility", _counts(search.responsibilities)),
@@ -210,40 +191,40 @@ def _counts(counts: Mapping[str, int]) -> str:
 # The whole page.
 
 ASSETS = "pytest_pafot.report.assets"
+# In the order in which they run: each uses what the earlier ones define.
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
-"""The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
+# The data that the scripts read. Everything else is in the page as text.
 DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "ghost", "event", "check")
-"""What the scripts read of a finding. The page has everything else as text."""
 
-INTERRUPTED = '<p class="warning">The session was interrupted. This report has what ran before that.</p>'
+INTERRUPTED = '<p class="warning">The session was interrupted. This report covers only what ran before.</p>'
 
+# A page shows at most so many findings in full, the worst ones. Each takes about 60 kB.
 WHOLE = 100
-"""The largest number of findings that a page shows whole, the worst ones: each takes about 60 kB of the page."""
 
 
 def render_page(session: Session, *, title: str, command: str) -> tuple[str, str]:
-    """Render the record of a session as one self-contained HTML page, and say what is on it. Equal records, equal text.
+    """Render the record of a session as one HTML page, and return the page with a summary of its content.
 
-    It has the findings that items sent for it, the worst of them whole, and the failures that none of them shows.
+    Equal records give equal pages.
     """
     style = _asset("page.css")
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
-    # The hashes allow only this style and these scripts, and no connection to anywhere.
+    # With these hashes, a browser accepts only this style and these scripts, and opens no connection.
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     seen, searches = session.findings, sorted(session.ended, key=lambda each: each.node_id)
     found = sorted((seen[node_id] for node_id in session.views), key=lambda each: (each.label != "new", *each.rank))
     views, more = [_shown(each, session) for each in found[:WHOLE]], found[WHOLE:]
     tests = [each.test for each in views]
-    views.sort(key=lambda each: tests.index(each.test))  # those of each test together, the worst finding first
-    # Searches fail because of their findings, too.
+    views.sort(key=lambda each: tests.index(each.test))  # grouped by test, the test with the worst finding first
+    # A failure needs an article only if no finding shows it. Searches also fail because of their findings.
     shown = {*session.views, *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR)}
     failures = {key: text for key, text in session.failures.items() if key[1] != "call" or key[0] not in shown}
-    # Failures without a finding, with the text that pytest shows for them.
+    # Failures without a finding have the text that pytest shows.
     ended = {each.node_id: "The search ended with an error." for each in searches if each.reason is Ending.ERROR}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
-        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
+        f"<p>{ended.get(node_id, 'It failed, but no finding on this page explains why.')}</p>"
         f"<pre>{text(failure.strip())}</pre></article>"
         for (node_id, _), failure in sorted(failures.items())
     )
@@ -271,11 +252,10 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
 
 
 def _shown(seen: Seen, session: Session) -> Shown:
-    """Return a finding with its view, its number of runs, its label and its command."""
     view = json.loads(zlib.decompress(session.views[seen.node_id]))
     search = {name_without(SEARCH_PART, each.node_id): each for each in session.ended}.get(seen.test)
     runs = 1 + seen.alike.runs if search is None else search.known.get(seen.id, 1)
-    parts: list[str] = [] if seen.label == "accepted" else [seen.label]
+    parts: list[str] = [] if seen.label == "accepted" else [seen.result]
     if seen.label == "new":
         parts = [f"new ({seen.remark})" if seen.remark else "new"]
     elif seen.finding.xfail is not None:
@@ -285,26 +265,22 @@ def _shown(seen: Seen, session: Session) -> Shown:
 
 
 def data_json(findings: Iterable[Shown]) -> str:
-    """Return the findings for the page's scripts, as JSON that is safe inside a ``<script>`` element.
-
-    It has only what they read. Nothing in the JSON can end the element or begin a comment, and everything beyond ASCII,
-    such as U+2028, is escaped.
-    """
+    """Return the data for the page's scripts, as JSON that is safe inside a ``<script>`` element."""
     data = [{name: each.view[name] for name in DRAWN} for each in findings]
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
 
 def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupted: bool) -> str:
-    """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
+    # Only if nothing ended early does the page state that the property held.
     ends = {search.reason for search in searches}
     if has_errors or Ending.ERROR in ends:
-        return "No findings, but an error stopped something before its end."
+        return "No findings, but an error ended a test or a search early."
     if is_interrupted or Ending.INTERRUPTED in ends:
-        return "No findings before the interrupt. The scenarios that had not run by then are untested."
+        return "No findings before the interruption. The remaining scenarios were not tested."
     if any(search.failing for search in searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if not all(end.is_complete for end in ends):
-        return "No findings before time ran out. The property held in every run that was evaluated by then."
+        return "No findings before time ran out. The property held in every run that was evaluated before."
     return "No findings. The property held in every evaluated run."
 
 
@@ -312,20 +288,20 @@ def _asset(name: str) -> str:
     return files(ASSETS).joinpath(name).read_text(encoding="utf-8")
 
 
-# What a page says of a session.
+# The facts about a session.
 
 
 def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterator[tuple[str, str]]:
-    """Yield names and values of facts on a session: seeds, replays, versions."""
+    """Yield the names and values of facts about a session, such as its seeds, replays and versions."""
     if seeds := dict.fromkeys(search.base_seed for search in searches):
         yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
     replays = sorted(replays, key=lambda each: each.node_id)
     if replays:
-        counts = sorted(Counter(each.label for each in replays).items())
+        counts = sorted(Counter(each.result for each in replays).items())
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.label in ("drifted", "passes", "fixed") or (each.label == "still failing" and each.on_search):
-            yield each.label, ": ".join(filter(None, [each.node_id, each.on_search or each.detail]))
+        if each.result.startswith(("drifted", "passes")):
+            yield each.result, ": ".join(filter(None, [each.node_id, each.on_search or each.detail]))
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -1,9 +1,7 @@
-"""The result of a session for programs, as ``--pafot-json`` writes it.
+"""The result of a session as JSON for ``--pafot-json``, and as Markdown for the page of a CI job.
 
-The record contains no clock time and no duration, and nothing on processes, and its keys and entries are sorted. So the
-same seed gives the same text, for any number of workers. Its day is what the option says.
-
-The same result in a few lines of Markdown is for the page of a CI job.
+The JSON contains no clock time, duration or process id, and is sorted. The same seed gives the same JSON for any number
+of workers.
 """
 
 from __future__ import annotations
@@ -29,16 +27,18 @@ from pytest_pafot.report.terminal import FAILING, further, told
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
+# It increases if a key is removed or changes its meaning, but not if a key is added.
 VERSION = 5
-"""The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
+# The label of a saved scenario that could not be read or run.
 UNREAD = label(Observed(is_error=True))
-"""The label of a saved scenario that could not be read or run, of which nothing else is known."""
 
+# Attributes of a search that may differ for the same seed, so only the terminal shows them.
 NOT_WRITTEN = ("seconds", "process_notes")
-"""The attributes of a search that only the terminal shows, because the same seed may give others."""
 
 
+# For each key, its value if the file could not be read or run, and the function that returns it otherwise. The session
+# knows the values without a function.
 FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyType({
     "node_id": ("", lambda seen: seen.node_id),
     "id": ("", lambda seen: seen.id),
@@ -86,57 +86,52 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
         "reason": seen.finding.xfail, "until": seen.finding.xfail_until.isoformat(),
     }),
 })  # fmt: skip
-"""For each key of the entry of a finding its value if a file could not be read or run, and else the function that
-returns its value; None for what only the session knows.
-"""
 
 
 def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
-    """Return the entry of a finding for programs; without one, of a file that could not be read or run.
+    """Return the JSON entry of a finding; None stands for a file that could not be read or run.
 
-    ``more`` are the values of further keys, or of those that the session changes.
+    ``more`` contains values that only the session knows.
 
     Keys:
-        node_id: of the item that replays it, if new from the next session on.
+        node_id: node id of the item that replays it; a new finding has this item from the next session.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; `no worse`, if new but not counted in a comparison with a reference; the label of its replay; or
+        status: `new`; `no worse`, if a comparison with a reference does not count it; the label of a replay; or
             `error`, with which only ids, `test`, `result`, `file`, `replay` and `detail` are known.
         result: `passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.
         file: path relative to the rootdir; null if not saved.
-        replay: the command that replays it.
-        scenario: as in its file; null with `error`.
-        world: as in its file; null likewise.
+        replay: command that replays it.
+        scenario, world: as in its file; null with `error`.
         headline: how the run ended; empty if it passes.
-        sentences: the sentences of the verdict on a collision.
+        sentences: sentences of the verdict on a collision.
         detail: what differs from the file, why there is no file, or the error.
-        signature: what makes two failures the same; null likewise.
-        kind: short name of the signature, with which ids begin.
+        signature: what makes two failures the same; null with `error`.
+        kind: short name of the signature, with which ids start.
         failure, assertion, outcome, time: as in `expect` of its file.
         responsible: `ego`, `npc`, `both` or `none`.
-        takeover: the latest takeover by a careful driver that avoids it, as in `expect` of its file, or null.
+        takeover: latest takeover by a careful driver that avoids the collision [s before the impact], or null.
         size: size of the scenario in words.
-        traffic: how the NPCs drive, in words; empty for the paper's.
-        runs: number of runs that failed so; 0 for a saved scenario (see `known` of the search).
-        worst: of the worst of these runs, its `number` in the search, from 0, and its `severity`, if it has one.
+        traffic: driving style of the NPCs in words; empty for the paper's.
+        runs: number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).
+        worst: `number` in the search, from 0, and `severity` of the worst of these runs.
         seed, algorithm, policy: as in `found` of its file.
-        against: the reference that passed then; empty without one.
-        rate: of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of
-            a replay also `now`, with `failing` and `runs`.
+        against: reference that passed when it was found; empty without one.
+        rate: for a policy that draws random numbers, `failing` of `runs`, each with another seed if `of` is `seeds`;
+            for a replay also `now`, with `failing` and `runs`.
         flaky: what differed when it was run again, or null.
-        unshrunk: that no time was left to confirm it, or to shrink it fully.
-        moment: the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy
-            saw the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if
-            unknown); `otherwise`, the smallest change of the NPC that changes it; `reference`, the reference's answer;
-            `conditions`, for each vehicle that they are `about` (`NPC 1`, `no NPC, or unknown which`, or empty if
-            nothing is known) those that it `evaluated`, first those that come out otherwise with that change. Or null.
+        unshrunk: why it was not confirmed, or not fully shrunk, such as a lack of time.
+        moment: last decision that could have avoided it, or null: `time` [s]; `npc`; `seen`, where the policy saw the
+            NPC; `action`, its response; `hidden`, the response with the NPC hidden (empty for the same, null if
+            unknown); `otherwise`, the smallest change of the NPC that changes the response; `reference`, the
+            reference's response; `conditions`, which the policy `evaluated`, for each vehicle that they are `about`.
         searched: number of runs of its test's search without such a failure, if `fixed`.
-        drawn: number of these whose scenarios are random.
-        elsewhere: id of the finding with the same failure, if its scenario passes and it is still failing elsewhere.
+        drawn: number of random scenarios among these.
+        elsewhere: id of another finding with the same failure, if its own scenario passes.
         reference_passes: whether the reference passes the scenario of a replay, or null.
-        severity: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or by how much the check is broken
-            [`unit`]; `margin` and `name` of a check. Null if it passes or has no measure.
-        severity_before: the same for the reference, if it fails as well, or null.
+        severity: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or the amount by which the check is
+            broken [`unit`]; `margin` and `name` of a check. Null if it passes or cannot be measured.
+        severity_before: the same for the reference, if it also fails, or null.
         xfail: `reason` and `until` of an accepted failure, or null.
     """
     values = (copy(nothing) if seen is None or of is None else of(seen) for nothing, of in FINDING.values())
@@ -144,15 +139,17 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
 
 
 def to_text(session: Session, *, root: str, day: str | None = None) -> str:
-    """Write the record of a session as JSON with sorted keys; paths in texts are relative to the folder ``root``.
+    """Write the record of a session as JSON with sorted keys.
+
+    Paths in texts become relative to the folder ``root``.
 
     Keys:
         exit: pytest's exit code; null while the session runs, or if it was killed.
         day: the value of `--pafot-today`, or null.
-        versions: of the packages on which a run depends.
-        searches, findings: in the order of node ids; `findings` are new or replayed.
-        orphans: folders with saved scenarios that the session left out.
-        warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
+        versions: versions of the packages that affect a run.
+        searches, findings: in the order of node ids; `findings` contains new and replayed ones.
+        orphans: folders with saved scenarios that the session did not replay.
+        warnings, problems: saved scenarios with an expired acceptance; errors outside the tests.
     """
     same = partial(portable, root=root)
     told = {node_id: {"result": session.results.get(node_id, "")} for node_id in (*session.searches, *session.seen)}
@@ -170,7 +167,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
     for node_id, saved in session.unread.items():
         known = {"node_id": node_id, "detail": reasons[node_id], "result": session.results.get(node_id, "")}
         findings.setdefault(node_id, finding_entry(None, **saved, **known))
-    # A search that runs now has an empty record, which is what a session that is killed leaves of it.
+    # A running search has an empty record, which remains if the session is killed.
     searches = [
         {each.name: getattr(search, each.name) for each in fields(Search) if each.name not in NOT_WRITTEN}
         | {"runs": search.runs, "failing": search.failing, "finds": [find.id for find in search.finds]}
@@ -179,7 +176,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         for node_id, search in sorted(session.searches.items())
     ]
     folders, gone = (Counter(file.rpartition("/")[0] for file in files) for files in (session.left, session.fails))
-    expected, _, advice = ADVICE.partition("; ")
+    expected, _, advice = ADVICE.partition(". ")
     data = {
         "pafot_json": VERSION,
         "exit": session.exit,
@@ -200,18 +197,18 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
 
 # The result of a session in a few lines of Markdown, for the page of a CI job.
 #
-# Texts from users, files and exceptions appear as they are: nothing in them becomes markup, a mention or a link.
+# Texts from users, files and exceptions are escaped, so that nothing in them becomes markup, a mention or a link.
 
+# A list in the summary names at most so many entries.
 MAX_LISTED = 20
-"""The largest number of entries that a list in the summary names. Any more are only counted."""
+# The summary describes at most so many failures, over all of its lists.
 MAX_TOLD = 5
-"""The largest number of failures in the summary, over all of its lists."""
 
 
 def markdown(session: Session, page: str = "") -> str:
-    """Return the summary of a session; empty if nothing in the session concerned this plugin.
+    """Return the summary of a session in Markdown; empty if the session did not use this plugin.
 
-    ``page`` is the path of the report page; empty without one.
+    ``page`` is the path of the report page, or empty.
     """
     where, rest = further(page)
     is_used = session.searches or session.seen or session.unread or session.left or session.problems
@@ -221,7 +218,7 @@ def markdown(session: Session, page: str = "") -> str:
 def _lines(session: Session, rest: str) -> Iterator[str]:
     groups: dict[str, list[list[str]]] = {status: [] for status in GROUPS}
     for seen in sorted(session.findings.values(), key=lambda seen: seen.rank):
-        groups[seen.label].append(list(_finding_lines(seen, session)))
+        groups[seen.result].append(list(_finding_lines(seen, session)))
     for node_id, saved in sorted(session.unread.items()):
         if node_id not in session.seen:
             told = f"{code(saved['test'])}: {plain(session.reasons[node_id])}"
@@ -234,7 +231,7 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
     for status, group in groups.items():
         if group:
             yield from ("", f"**{GROUPS[status]}**", "")
-            is_failure = status not in ("accepted", "passes", "fixed")
+            is_failure = not status.startswith(("accepted", "passes"))
             most = left if is_failure else MAX_LISTED
             left -= min(most, len(group)) if is_failure else 0
             for lines in group[:most]:
@@ -242,42 +239,40 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
             others = f"{len(group) - most} more" if most else f"{len(group)}"
             yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
     searches = [session.searches[node_id] for node_id in sorted(session.searches)]
-    # The new findings of the others make these fail.
+    # Any other search that failed did so because of its new findings, which are listed above.
     failed = [each.node_id for each in searches if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds]
     faulty = [f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}" for node_id in failed]
     yield from _listed("Searches that failed", faulty)
     lost = sorted({file.rpartition("/")[0] for file in session.left})
-    yield from _listed("Saved scenarios that were left out", [f"{code(each)}: {plain(ADVICE)}" for each in lost])
+    yield from _listed("Saved scenarios that were not replayed", [f"{code(each)}: {plain(ADVICE)}" for each in lost])
     yield from _listed("Warnings", [plain(each) for each in sorted(session.warnings)])
     yield from _listed("Problems", [plain(each) for each in session.problems])
 
 
 def _search_lines(session: Session) -> Iterator[str]:
-    """Yield a line with the number of searches and runs, and with the options that repeat them."""
     ran = sorted(session.ended, key=lambda search: search.node_id)
     if not ran:
-        yield "No search ran to its end." if session.searches else "No search was requested."
+        yield "No search was completed." if session.searches else "No search was requested."
         return
     options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
     yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; repeat with {options}."
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
-        yield f"A run counts as a failure only if {against} passes it."
+        yield f"A run counts as a failure only if {against} passes the same scenario."
     drawn = [search.random for search in ran if search.random["runs"]]
     failing, counted = (sum(each[name] for each in drawn for name in names) for names in (FAILING, ("runs",)))
     if failing:
-        yield f"Of {plural(counted, 'random scenario')}, {failing} failed."
+        yield f"{failing} of {plural(counted, 'random scenario')} failed."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{capitalised(compared)}."
 
 
 def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
-    """Yield two lines on a finding: its test and its description, then the command that replays it."""
     finding, now = seen.finding, seen.observed
     parts = [plain(seen.on_search), plain(seen.headline or ("" if now.elsewhere else seen.detail))]
     if seen.headline and now.reference_passes is not None:
-        parts.append("the reference passes" if now.reference_passes else "the reference fails, too")
+        parts.append("the reference passes" if now.reference_passes else "the reference also fails")
     worse = worsening(seen.severity, now.before) if now.before is not None else ""
     parts += [f"worse: {plain(worse)}"] if worse else []
     parts += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
@@ -285,7 +280,7 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     if finding.xfail is not None and seen.label == "accepted":
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
     yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
-    is_pass = seen.label in ("passes", "fixed")
+    is_pass = seen.result.startswith("passes")
     yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told(seen)[1:]))
     missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
     yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"

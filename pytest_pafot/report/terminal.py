@@ -1,7 +1,6 @@
-"""The plugin's text in the terminal: progress, each finding, why a search fails, and the summary of the session.
+"""The plugin's output in the terminal: progress, findings, failures of searches, and the summary of the session.
 
-The functions turn values into lines of plain ASCII that fit the terminal's width, except for node ids,
-paths and the user's own words.
+Lines are ASCII and fit the width of the terminal, except for node ids, paths and the user's own words.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.findings.verdict import worsening
-from pytest_pafot.model.trace import SURVIVES, Outcome
+from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
 from pytest_pafot.searching.plain import from_plain
 from pytest_pafot.support.errors import OF_SEARCH, command, flag
@@ -27,55 +26,47 @@ from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, capitalised, fitted_lines, listed, plural, wrapped_to
 
 Event = Progress | Search | Seen | Note
-"""What an item says to the record of the session."""
+"""An event that an item sends to the record of the session."""
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
+# If more time than this is left, a line of progress names the option that limits it [s].
 LONG = 600
-"""The time that is left from which on a line of progress names the option that ends a search [s]."""
+# The largest number of lines in the block on a failure below its title, at 80 columns.
 ROOM = 11
-"""The largest number of lines of a failure's block below its title, at 80 columns."""
+# The counts of random scenarios that failed.
 FAILING = ("at_fault", "otherwise")
-"""The counts of random scenarios that fail."""
+# The largest numbers that are listed: kinds of failures and new findings of a search, findings that a CI job describes,
+# saved scenarios that were not replayed, and noteworthy replays.
 MAX_KINDS = 3
-"""The largest number of kinds of failures that the summary of a search lists."""
 MAX_FINDS = 20
-"""The largest number of new findings that a search lists one by one."""
-
-
 MAX_ANNOTATED = 5
-"""The largest number of findings that a CI job tells whole."""
-
 MAX_LEFT = 5
-"""The largest number of saved scenarios that were left out and are named."""
 MAX_REPLAYS = 10
-"""The largest number of listed replays. Only replays that do not simply fail as before are listed."""
 
 
-BEST_ACTION = "or let a model take its best action (with Stable-Baselines3: predict(..., deterministic=True))"
-DRAWS = f"the policy probably draws from a generator of its own: seed it in its factory, {BEST_ACTION}"
+BEST_ACTION = "or make a model take its best action (in Stable-Baselines3: predict(..., deterministic=True))"
+DRAWS = f"the policy probably has its own random generator. Seed it in the factory of the policy, {BEST_ACTION}"
 DRAWS_IN_WRAPPERS = (
-    "the policy or a wrapper probably draws from a generator of its own: let a wrapper draw from self.np_random, and "
-    f"seed the policy in its factory, {BEST_ACTION}"
+    "the policy or a wrapper probably has its own random generator. In a wrapper, draw from self.np_random. Seed the "
+    f"generator of a policy in its factory, {BEST_ACTION}"
 )
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """Return one line of progress. To fit the width, the start of the node id is left out, then the end of the line.
-
-    If the runs that are left take more than a minute, it says how long they take, and what ends them.
-    """
+    """Return one line of progress; to fit the width, it shortens the node id, then the end of the line."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
-    pace = f"{1 / speed:.0f} s a run" if 0 < speed < 1 else f"{speed:.0f}/s"
+    pace = f"{1 / speed:.0f} s per run" if 0 < speed < 1 else f"{plural(round(speed), 'run')}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
+    # If more than a minute is left, how long it is. If much more is left, also how to limit it.
     seconds, left = progress.left, ""
     if seconds >= MINUTE:
         duration = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
-        each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
-        way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
+        each = f" at {1000 * progress.decision_seconds:.3g} ms per decision" if progress.decision_seconds else ""
+        way_out = "" if progress.is_limited or seconds < LONG else f"; limit it with {flag('max_time', LONG)}"
         left = f", about {duration} left{each}{way_out}"
-    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}{left}"
+    done = f"{', '.join(counts)}, {progress.failing} failed, {progress.finds} new, {pace}{left}"
     tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
@@ -84,27 +75,29 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 
 def found_line(seen: Seen) -> str:
-    """Return the line on a new finding while the search continues. What is told of it comes at the end, simplified."""
+    """Return the line on a new finding while the search continues."""
     expect = seen.finding.expect
-    kinds = {"collision": "a collision", "ads_error": "an error of the policy", "hang": "a decision that hangs"}
+    kinds = {"collision": "a collision", "ads_error": "an error in the policy", "hang": "a decision that hung"}
     what = kinds.get(expect.outcome, "a failure")
     if (expect.is_crash and expect.outcome is not Outcome.HANG) or expect.signature.is_property:
-        what = "a process that dies" if expect.is_crash else "a failed check" if expect.check else "a failed assertion"
+        what = "a process that died" if expect.is_crash else "a failed check" if expect.check else "a failed assertion"
     return ascii_text(f"pafot: found {what}: {seen.node_id}{'' if seen.path else f', not saved: {seen.detail}'}")
 
 
 def told(seen: Seen) -> list[str]:
-    """Return what happened, as it is told everywhere: who hit whom, what both did, who is responsible, the decision."""
+    """Return what happened, in the same words for all reports: headline, sentences and decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
     headline = seen.headline
-    for fault in AT_FAULT.values() if sentences else ():  # The sentences say it. A replay may differ from its file.
+    for fault in AT_FAULT.values() if sentences else ():  # The sentences contain it. A replay may differ from its file.
         headline = headline.replace(f"; {fault}", "")
     what = "The check fails: " if expect.check and seen.is_as_saved else ""
     parts = [f"{what}{headline}{'' if headline.endswith(('.', '?')) else '.'}"]
     if expect.outcome in ("ads_error", "hang") and not expect.check and seen.is_as_saved:
-        # The last frame in the policy, without the marks below its line.
+        # The last frame in the policy: its two lines, without the marks below them.
         lines = [line.rstrip() for line in expect.traceback.splitlines() if line.startswith("  ")]
-        parts = [f"After {expect.time:.1f} s: {parts[0]}", *[line for line in lines if line.strip(" ~^")][-2:]]
+        who = "environment" if headline.startswith(WORLD_HANG) else "policy"
+        parts[0] = f"The {who} failed after {expect.time:.1f} s: {parts[0]}"
+        parts += [line for line in lines if line.strip(" ~^")][-2:]
     return [*parts, *sentences, *([] if seen.moment is None else [seen.moment.brief])]
 
 
@@ -118,24 +111,22 @@ def block_lines(
     width: int = WIDTH,
     is_whole: bool = False,
 ) -> list[str]:
-    """Return the block on a failure, of at most twelve lines with its title at 80 columns.
-
-    If it would be longer, the block leaves out what is less important: first the condition of the policy's code, then
-    the decision, and what both did.
+    """Return the block on a failure, with at most twelve lines at 80 columns, including its title.
 
     Args:
         seen: the failure.
-        again: the command that runs its file again.
-        search: its search; None if that is unknown.
-        place: the place where the test failed, such as ``test_a.py:12``; it is told if that is not about a collision.
-        text: pytest's text on it: what an assertion says, or how a process ended that died, with the likely cause.
-        width: the width of the terminal in columns.
-        is_whole: whether the block has all that is known, of any length.
+        again: the command that runs it again.
+        search: its search; None if unknown.
+        place: where the test failed, such as ``test_a.py:12``.
+        text: pytest's text on the failure.
+        width: width of the terminal in columns.
+        is_whole: whether the block contains everything that is known.
     """
     finding, moment, now = seen.finding, seen.moment, seen.observed
     runs = search.runs if search is not None and now.new else 0
     first, *others = told(seen)
-    # Each text with a number: 0 if it stays, otherwise the larger, the earlier it is left out.
+    # Each text with a number: 0 if it must stay. Otherwise, texts with larger numbers are omitted first: the conditions
+    # in the policy's code, then its decision, then what both vehicles did.
     parts: list[tuple[int, str]] = []
     expect, message = finding.expect, next(iter(text.splitlines()), "").removeprefix("AssertionError: ")
     if expect.is_crash and text and seen.is_as_saved:  # A replay can fail in another way than its file.
@@ -153,18 +144,18 @@ def block_lines(
         parts += [(9, f"  {row}") for row in [row for _, group in moment.conditions for row in group][:1]]
     parts += [(4, f"{capitalised(text)}.") for text in _remarks_on(seen)]
     parts += [(0, f"It was simplified {how}.") for how in shrunk_lines(finding) if is_whole]
-    like = f"{1 + seen.alike.runs} of {runs} runs failed alike" if seen.alike.runs else "no other run failed alike"
-    worst = seen.worst if seen.alike.runs or not seen.worst else f"as found, it {seen.alike.severity}"
-    parts += [(2, f"{'; '.join(filter(None, [capitalised(like), worst]))}.")] if runs > 1 else []
-    parts += [(1, f"It passes with the reference {finding.expect.against}.")] if finding.expect.against else []
+    like = f"{1 + seen.alike.runs} of {runs} runs" if seen.alike.runs else "no other run"
+    worst = seen.worst if seen.alike.runs or not seen.worst else f"the original run {seen.alike.severity}"
+    parts += [(2, f"{capitalised(like)} failed in the same way{worst and f'; {worst}'}.")] if runs > 1 else []
+    parts += [(1, f"The reference {finding.expect.against} passes it.")] if finding.expect.against else []
     if not now.new:
-        parts.append((1, f"Replayed, it is {': '.join(filter(None, [seen.label, seen.detail]))}."))
+        parts.append((1, f"Result of the replay: {': '.join(filter(None, [seen.label, seen.detail]))}."))
     elif seen.detail:
         parts.append((0, f"Its file: {seen.detail}." if seen.path else f"It is not saved: {seen.detail}."))
     if now.beyond:
-        accepts = f"the line `xfail:` of {seen.path} accepts `{finding.expect.brief}`, received `{now.beyond}`"
-        way_out = "correct the policy, or delete the file, search again and accept what is found then"
-        parts.append((0, f"It is not accepted: {accepts}; {way_out}."))
+        accepts = f"the line `xfail:` of {seen.path} accepts `{finding.expect.brief}`, but received `{now.beyond}`"
+        way_out = "Correct the policy, or delete the file, search again and accept the new finding"
+        parts.append((0, f"It is not accepted: {accepts}. {way_out}."))
     while not is_whole and sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts) > ROOM - bool(again):
         spared = max(parts, key=lambda part: part[0])
         if not spared[0]:
@@ -178,67 +169,68 @@ def block_lines(
 
 
 def _remarks_on(seen: Seen) -> list[str]:
-    """Return remarks on a finding, and what to do about a policy that drives the same scenario in different ways."""
-    advice = "it does not repeat, so it is not simplified" if seen.is_flaky else ""
+    advice = "it was not simplified, because its runs differ" if seen.is_flaky else ""
     flaky, has_wrappers = seen.finding.flaky or "", bool(seen.finding.world.get("wrappers"))
+    # State that survives in the world is no random draw of the policy.
     if flaky.startswith(NOT_REPEATED) and (has_wrappers or SURVIVES not in flaky):
         advice = DRAWS_IN_WRAPPERS if has_wrappers else DRAWS
     return [text for text in (seen.remark, advice) if text]
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
-    """Say in a line from what to what a finding shrank; nothing if it did not."""
+    """Return a line on how a finding was simplified; none if it was not."""
     if finding.shrunk is None or not finding.shrunk.before:
         return []
     sizes = [each.split(", ") for each in (finding.shrunk.before, described(finding.scenario, finding.longest_run))]
     changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
     how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
     how = how if changed else "to a simpler scenario of the same size"
-    return [how if finding.shrunk.is_minimal else f"{how}, and could be simpler"]
+    return [how if finding.shrunk.is_minimal else f"{how}; a simpler one may exist"]
 
 
 def event_of(kind: str, text: str) -> Event:
-    """Return the event of an item from the name of its class and the text of a message."""
+    """Return the event of an item from its class name and its JSON."""
     kinds: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
     return from_plain(kinds[kind], json.loads(text))
 
 
 def ranked(findings: Iterable[Seen]) -> list[Seen]:
-    """Return findings in the order in which they are listed, the worst first."""
+    """Return findings with the worst first."""
     return sorted(findings, key=lambda each: each.rank)
 
 
 def failure_message(search: Search) -> str:
-    """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
+    """Return why the item of a search fails."""
     names = [f"{each.id}{' (flaky)' if each.is_flaky else ''}" for each in ranked(search.finds)]
     return f"{plural(len(names), 'new failure')} in {plural(search.runs, 'run')}: {_listed(names)}"
 
 
 def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
-    """Summarise a search in at most eight lines at 80 columns; in more if there are warnings, or with ``is_whole``."""
+    """Summarise a search in at most eight lines at 80 columns; warnings and ``is_whole`` add more."""
     finds, kinds, more, random = ranked(search.finds), search.kinds, search.more_runs, search.random
     drawn, failing = random["runs"], sum(random[each] for each in FAILING)
-    share = interval_text(failing, drawn) if drawn and not kinds["common"] else ""  # else these count, too
-    others = ((kinds["npc"], "the NPC is responsible"), (kinds["common"], "the reference fails, too"))
+    # No proportion next to runs in which the reference also fails: these count as failures of random scenarios.
+    share = interval_text(failing, drawn) if drawn and not kinds["common"] else ""
+    others = ((kinds["npc"], "an NPC was responsible"), (kinds["common"], "the reference also failed"))
     first = f"{kinds['failed'] or 'none'} of {plural(search.runs, 'run')} failed"
     evaluated = search.runs - sum(kinds[kind] for kind in UNTESTED)
     if drawn and (drawn, failing) == (evaluated, kinds["failed"]):  # All scenarios were drawn at random.
         first, share = f"{failing or 'none'} of {plural(drawn, 'random scenario')} failed: {share}", ""
-    texts = ["; ".join([first, *(f"in {count} of the others {what}" for count, what in others if count)])]
+    texts = ["; ".join([first, *(f"in {plural(count, 'other')}, {what}" for count, what in others if count)])]
     rows = [(each.id, 1 + each.alike.runs, each.impacts, "new, flaky" if each.is_flaky else "new") for each in finds]
     rows += [(id_, count, "", "known") for id_, count in sorted(search.known.items())]
     shown = rows if is_whole or len(rows) <= MAX_KINDS else rows[: MAX_KINDS - 1]
     texts += [f"{id_}: {plural(count, 'run')}{impacts} ({what})" for id_, count, impacts, what in shown]
     texts += [f"{len(rows) - len(shown)} more kinds of failures"] if len(rows) > len(shown) else []
-    texts += [f"Of {plural(drawn, 'random scenario')}, {failing or 'none'} failed: {share}"] if share else []
+    texts += [f"{failing or 'None'} of {plural(drawn, 'random scenario')} failed: {share}"] if share else []
     untested = listed([f"{kinds[kind]} {kind}" for kind in UNTESTED if kinds[kind]])
     several = [
         plural(search.runs, "run") + (f" ({untested})" if untested else ""),
-        *([f"{more['known']} that were known"] if more["known"] else []),
+        *([f"{more['known']} with a known result"] if more["known"] else []),
     ]
-    several += [f"{count} to simplify what failed"] if (count := more["shrink"] + more["moment"]) else []
+    several += [f"{count} to simplify failures"] if (count := more["shrink"] + more["moment"]) else []
     decided = f"; {search.decisions.total():,} decisions" if search.decisions.total() else ""
-    # Hundreds of searches in which nothing failed have a line each.
+    # A session may have hundreds of searches without a failure, so each of them takes only one line.
     is_quiet = evaluated and search.reason.is_complete and not (search.failing or finds or is_whole)
     texts += [] if is_quiet else [f"It took {search.seconds:.1f} s: {listed(several)}{decided}"]
     if not search.reason.is_complete:
@@ -253,7 +245,7 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     texts += [capitalised(search.compared)] if search.compared else []
     if search.no_worse:
         names = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
-        texts.append(f"Fails elsewhere: {_listed(names)}; it does not count")
+        texts.append(f"Not counted, because the reference fails as often in other scenarios: {_listed(names)}")
     if is_whole:
         texts += [f"{search.no_interaction} of these runs had no interaction"] if search.no_interaction else []
         texts += [] if search.reached is None else [f"NPCs reached {100 * search.reached:.0f} % of their goals"]
@@ -270,29 +262,24 @@ def _remarks(search: Search) -> list[str]:
 
 
 def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
-    """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
+    """Return the number of replays for each result, then the replays that need attention."""
     if not replays:
         return []
-    counts = sorted(Counter(replay.label for replay in replays).items())
+    counts = sorted(Counter(replay.result for replay in replays).items())
     figures = ", ".join(f"{count} {result}" for result, count in counts)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
-    shown = [
-        each for each in replays if each.label != "still failing" or each.on_search or each.compared == "introduced"
-    ]
+    shown = [each for each in replays if each.result != "still failing" or each.compared == "introduced"]
     for replay in shown[:MAX_REPLAYS]:
-        lines.append(f"  {replay.label}: {replay.node_id}")
+        lines.append(f"  {replay.result}: {replay.node_id}")
         remarks = "; ".join(filter(None, [replay.on_search, replay.detail]))
         lines += [f"  {line}" for line in _wrapped(remarks, width - 2)] if remarks else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 
 def against_lines(session: Session, width: int = WIDTH) -> list[str]:
-    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares.
-
-    A session with a test that could not be compared says nothing of that: its figures would be those of a part.
-    """
+    """Return for each reference which failures the policy introduces, fixes or shares."""
     lines: list[str] = []
-    if session.incomparable:
+    if session.incomparable:  # the counts would be incomplete
         return lines
     replays = session.replays
     names = [*(each.against for each in session.ended), *(each.observed.against for each in replays)]
@@ -301,36 +288,37 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
         counts = Counter(replay.compared for replay in own)
         found = sum(len(each.finds) for each in session.ended if each.against == name)
         introduced = plural(found + counts["introduced"], "failure")
-        text = f"against {name}: introduces {introduced}, fixes {counts['fixed']}, {counts['common']} as before"
+        text = f"compared with {name}: {introduced} introduced, {counts['fixed']} fixed, {counts['common']} unchanged"
         elsewhere = sum(len(each.no_worse) for each in session.ended if each.against == name)
-        text += f", {elsewhere} elsewhere" if elsewhere else ""
+        text += f", {elsewhere} in other scenarios" if elsewhere else ""
         lines += wrapped_to(text, width)
         common = [each for each in own if each.compared == "common"]
         changes = [(each.id, worsening(each.severity, each.observed.before)) for each in common]
         worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
-            count = f"{len(worse)} of {plural(len(common), 'failure')} in common became worse"
+            count = f"{len(worse)} of {plural(len(common), 'unchanged failure')} became worse"
             lines += wrapped_to(f"{count}: {'; '.join(worse[:MAX_REPLAYS])}", width)
     return lines
 
 
 def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
-    """Return the lines of the summary of a session; no lines if there is nothing to report."""
+    """Return the summary of a session; empty if there is nothing to report."""
     lines, drawn = list[str](), set[str]()
-    for search in session.ended:  # What several searches draw is said once.
+    for search in session.ended:  # A range of scenarios that several searches share is described once.
         new = replace(search, drawn="") if search.drawn in drawn else search
         lines += search_lines(new, width=width, is_whole=is_whole)
         drawn.add(search.drawn)
     for node_id in session.running:
-        lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
+        lines += [node_id, *_wrapped("did not finish; its findings so far are reported", width)]
     lines += replay_lines(session.replays, width)
     lines += against_lines(session, width)
     lines += [f"not run: {test}: {WHY_UNNAMED}" for test in session.unnamed]
     if session.left:
         lines.append(f"not run: {plural(len(session.left), 'saved scenario')}: {_listed(session.left, MAX_LEFT)}")
-    if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):  # which says more itself
+    # The command `search` prints its own advice.
+    if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
         seeds = dict.fromkeys(f"pytest {flag('seed', each.base_seed)}" for each in session.ended if each.finds)
-        what, again = ("it", "this search") if len(session.ended) == 1 else ("what is saved", "the searches")
+        what, again = ("it", "this search") if len(session.ended) == 1 else ("the saved scenarios", "the searches")
         lines += wrapped_to(f"pytest {flag('runs', 0)} replays {what}; {' or '.join(seeds)} repeats {again}.", width)
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
@@ -341,19 +329,14 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
 
 
 def further(page: str) -> tuple[str, str]:
-    """Return where findings are that a job of a CI does not name: on the page, or in the list that a command prints.
-
-    They are a path or a command, and what follows it in a sentence. ``page`` is empty without a page.
-    """
+    """Return where the remaining findings are, a path or a command, and the end of that sentence."""
     return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
 
 
 def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
-    """Return commands by which GitHub Actions shows the worst five failures at their test files.
+    """Return GitHub Actions commands that annotate the worst five failures in their test files.
 
-    Each has what is told of the failure. In all of these,
-    and in names, what such a command reads as its own marks is escaped. If there are more findings, a notice counts
-    them and says where they are: on the report page, whose path is ``page``, or in the list of the corpus.
+    ``page`` is the path of the report page, or empty.
     """
     worst = ranked(sightings)
     lines = []

@@ -1,4 +1,4 @@
-"""The data that the report page shows of a finding, built from its file and from the trace of one of its runs."""
+"""The data that the report page shows of a finding, from its file and the trace of a run."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution import takeovers
+from pytest_pafot.attribution.sentences import ALSO
 from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.measures import stretches
-from pytest_pafot.findings.decisions import fact_on, is_si, moved_over
+from pytest_pafot.findings.decisions import deed_of, is_si, sentences_of
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.crossings import Zone
@@ -35,32 +36,29 @@ from pytest_pafot.world.limits import CLEARANCE
 
 Numbers = tuple[float | None, ...]
 Place = tuple[float, float, float]
-"""A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], its growth [m per m/s]."""
+"""A gap that grows with the ego's speed: minimum [m], value at a standstill [m], growth [m per m/s]."""
 Stretch = tuple[float, float, str]
-"""Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
+"""Equal decisions in a row: time of the first [s], time of the next different one [s], and their words."""
 Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
-"""A title, which may be empty, sentences, and lines of the user's code by whom they are about."""
+"""A title, sentences, and groups of code lines with the vehicle that they are about."""
 View = dict[str, Any]
-"""A part of what a page shows of a finding: plain values, which JSON can hold.
+"""JSON-compatible data for the page.
 
-Positions are in the frame of the road: *along* the road, and *across* it from the centre of lane 0 to the right.
-Headings are relative to the road, positive to the right. Lengths are in m, times in s since the start of the run,
-speeds in m/s, accelerations in m/s^2, angles in rad. None stands for a number that does not exist, such as the time to
-contact of vehicles that never touch, and an empty text for one that does not exist.
+Positions are *along* the road, and *across* it from the centre of lane 0 to the right. Headings are relative to the
+road, positive to the right. Units are m, s since the start of the run, m/s, m/s^2 and rad. None means that a number
+does not exist.
 """
 
 # The road of a run for its picture.
 
+# The road is drawn for so far past the last position of the ego [m].
 BEYOND = 150.0
-"""Length of road that is drawn beyond the farthest point that the ego reached [m]."""
 
 
 def road_view(trace: Trace, clearance: float) -> View:
-    """Return the road of a run, as a picture needs it.
+    """Return the data of a run's road.
 
-    ``lanes`` are the positions across a straight road. A bent one has ``shapes``: for each lane its ``points`` in world
-    coordinates, where *along* is the world's x and *across* its y, and its ``width``. The ``clearance`` is the gap
-    between the ego and the cells ahead of and behind it; in attentive traffic these are ``ahead`` and ``behind``.
+    A straight road has ``lanes``, their positions across. A curved one has ``shapes`` in world coordinates.
     """
     ahead, behind = places(STYLES[trace.scenario.traffic])
     road: View = {
@@ -87,7 +85,7 @@ def road_view(trace: Trace, clearance: float) -> View:
 
 
 def places(style: DrivingStyle) -> tuple[Place, Place]:
-    """Return the gaps to the cells ahead of and behind the ego, by the same rule as :meth:`Director._target`."""
+    """Return the gaps to the cells ahead of and behind the ego, as in :meth:`Director._target`."""
     if not style.is_attentive:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     standing = following_gap(0.0)
@@ -96,7 +94,6 @@ def places(style: DrivingStyle) -> tuple[Place, Place]:
 
 
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a lane's centre line, and for each point its distance from the start along the line [m]."""
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     points = np.array(lane.points or [(lane.x, lane.y), end])
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
@@ -104,28 +101,19 @@ def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
 
 # The page's view of a failed check: its figures, and the curve of its values with the bounds.
 
+# On the passing side, a check's curve is shown up to so many times the bound or the worst violation, the larger one.
 REACH = 3
-"""The shown extent of a check's curve on the passing side, in multiples of the bound or of the worst violation.
-
-The larger of the two is used. Values farther away from the bound are cut.
-"""
 
 
 def check_tick(trace: Trace, check: Check | None) -> int | None:
-    """Return the tick of a check's worst value; None if the time of that value is unknown or outside the run."""
+    """Return the tick of a check's worst value, or None if it is unknown or outside the run."""
     if check is None or check.time is None or not 0 <= check.time <= trace.duration:
         return None
     return round(check.time * trace.physics_hz)
 
 
 def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
-    """Return the view of a check that failed in a run; ``ticks`` are those of the frames.
-
-    The view has the worst ``value`` and its ``time``, the bounds, and the time from which a bound is broken, ``begin``.
-    If it is known when the check's values were measured, it also has a curve: for each frame one of the ``values``, the
-    worst since the previous frame, cut at ``low`` and ``high``, the range that a picture shows; whether values below
-    and above it ``is_cut``; and start and end of each time span in which a bound was ``broken``.
-    """
+    """Return the view of a check that failed in a run; ``ticks`` are the ticks of the frames."""
     tick, hz = check_tick(trace, check), trace.physics_hz
     time = None if tick is None else round(tick / hz, 3)
     view: View = {
@@ -160,7 +148,6 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
 
 
 def _excess(check: Check, values: FloatArray) -> FloatArray:
-    """Return by how much each value breaks the check's bounds: negative if it satisfies them, infinite for NaN."""
     over = [values - check.at_most] if check.at_most is not None else []
     under = [check.at_least - values] if check.at_least is not None else []
     excess: FloatArray = np.max([*over, *under], axis=0)
@@ -168,7 +155,7 @@ def _excess(check: Check, values: FloatArray) -> FloatArray:
 
 
 def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
-    """Return the lowest and highest value to show: all values that break a bound, and values near the bound."""
+    # Show all values that break a bound, and the passing side up to REACH.
     bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
     shown = [*values[np.isfinite(values)], *bounds]
     low, high = float(min(shown)), float(max(shown))
@@ -182,57 +169,51 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
 
 
+# Sentences on a check treat times with a smaller difference as equal [s].
 LITTLE = 0.05
-"""The least difference between two times that the sentences on a check tell apart [s]."""
+# Approximate. The page interpolates between frames.
 FRAMES_PER_SECOND = 7
-"""Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
 
 def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> View:
-    """Return the data that the report page shows of a finding, with its run if one was recorded.
+    """Return the page's data on a finding, with its run if one was recorded.
 
     Args:
-        sighting: the finding. Without a headline, the title is the first line of the run's explanation.
-        note: what the page adds to the headline.
-        check: the check that failed in the run; None if something else failed.
+        sighting: the finding.
+        note: text that follows the headline.
+        check: check that failed in the run; None if something else failed.
 
     Keys:
-        headline, times, vehicles, road, instructions, decisions, ghost, event, check: what the scripts draw: times of
-            the frames, empty if no run was recorded; the ego, then the NPCs; the instructions, ordered by NPC and gene;
-            the decisions of the ego's ADS, of which equal ones in succession are one stretch; the careful driver who
-            takes over, or null; the failed check or null.
-        sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
-            a failed check, what the headline does not say of it; otherwise empty.
-        besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
-        deed: the sentence on what the ego did that decides; empty if it is not at fault.
-        moment: where to look in the policy: the decision that could have avoided it, or the traceback of an exception.
-        happened: what else is known of the run and of the finding, in prose.
-        assertion: the line of the test that failed, or the exception that was raised.
-        yaml: text of its file.
+        headline, times, vehicles, road, instructions, decisions, ghost, event, check: data that the scripts draw.
+        sentences: what happened, in words.
+        besides: the collision of a run in which a check failed; otherwise empty.
+        deed: the sentence on what the ego did wrong; empty if it is not at fault.
+        moment: the decision that could have avoided it, or the traceback of an exception.
+        happened: everything else that is known.
+        assertion: the line that failed, or the exception.
+        yaml: content of its file.
     """
     finding, run = sighting.finding, sighting.run
     trace = None if run is None else run.trace
     expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    sentences = () if run is None else expect.sentences_on(run)
-    first, *others = [""] if run is None else _explained(run, sentences)
+    sentences = () if run is None else sentences_of(run, expect)
+    first, *others = [""] if run is None else _explained(run, (*sentences, *run.sentences[:1]))
     besides, collision = "", ""
-    deed = "" if run is None else _deed(run, action_names(finding.world))
+    deed = "" if run is None else deed_of(run, sentences)
     if check is not None and run is not None:
         written, check = str(check), _with_curve(check, run.trace)
         short = _check_in_short(check, run.trace)
         said = () if written in headline else (f"{capitalised(short)}.",)
         headline = headline.replace(written, capitalised(short) if headline.startswith(written) else short)
-        if sentences:  # they are on the collision, and would read as the check's
-            besides, collision = f"Also in this run: {collision_in_short(run)}", _prose([first, *sentences])
+        if sentences:  # they are about the collision, and would seem to be about the check
+            besides, collision = f"{ALSO} {collision_in_short(run)}.", _prose([first, *sentences])
         sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
-        who = "The ego's policy" if run.ads_error.is_of_ads else "The environment"
-        headline = f"{who} failed at {run.event_time:.1f} s: {headline}"
+        who = "policy" if run.ads_error.is_of_ads else "environment"
+        headline = f"The {who} failed after {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
-    if deed and not besides and deed not in sentences:
-        sentences = (deed, *sentences)
     view = {
         "headline": headline or first or expect.message or expect.failure,
         "sentences": sentences,
@@ -269,79 +250,63 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
 
 
 def _with_curve(check: Check, trace: Trace) -> Check:
-    """Return a check of the least gap or time to contact of a whole run with that of each tick, which has a time."""
     measure = {"s": ttc, "m": gap}.get(check.unit)
     if measure is None or check.time is not None:
         return check
+    # If the value is the smallest gap or time to contact of the run, the page can show the curve of that measure.
     values = np.fmin.reduce(measure(trace), axis=1, initial=np.inf)
     is_it = values.min() == check.value
     return replace(check, values=values, time=float(values.argmin()) / trace.physics_hz) if is_it else check
 
 
 def _check_in_short(check: Check, trace: Trace) -> str:
-    """Return one line on a failed check: who fails it, from when on, and the value with its bound."""
     view = check_view(check, trace, ())
     when = "" if view["begin"] is None else f" {'from' if view['broken'] else 'at'} {view['begin']:.1f} s"
-    return f"the ego fails the check{when}: {replace(check, time=None)}"
+    return f"the check fails{when}: {replace(check, time=None)}"
 
 
 def _check_sentences(check: View) -> tuple[str, ...]:
-    """Return what the headline does not say of a failed check: when it is worst, and until when its bound is broken."""
+    # The headline has only the first time at which the bound is broken.
     broken, time = check["broken"], check["time"]
     if not broken or time is None:
         return ()
     first, last, times = broken[0][0], broken[-1][1], len(broken)
-    worst = f"it is worst at {time:.1f} s" if time - first >= LITTLE else ""
+    worst = f"the value is worst at {time:.1f} s" if time - first >= LITTLE else ""
     often = f" {times} times," if times > 1 else ""
     until = f"the bound is broken{often} until {last:.1f} s" if last - time >= LITTLE or often else ""
-    told = ", and ".join(filter(None, [worst, until]))
+    told = " and ".join(filter(None, [worst, until]))
     return (f"{capitalised(told)}.",) if told else ()
 
 
 def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
-    """Return the lines that explain a run, without ``sentences``, which the page has above the picture.
-
-    The instructions are not among them, because the picture and the file have them.
-    """
+    # Without the sentences above the picture, and without the instructions, which the picture and the file show.
     lines = map(str.strip, run.explain(instructions=False).splitlines())
     return [line for line in lines if line and line not in sentences]
 
 
 def _prose(lines: Sequence[str]) -> str:
-    """Join lines to sentences, each of which begins with a capital letter and ends with a full stop."""
     return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines)
 
 
 def _moment(sighting: Seen) -> tuple[Paragraph, ...]:
-    """Return the decision that could have avoided a failure, or the traceback of the policy's exception."""
     moment, raised = sighting.moment, sighting.finding.expect.traceback
     if moment is None:
         return (("The traceback", "", (("", tuple(raised.splitlines()[1:])),)),) if raised else ()
-    listed = ["its conditions then, with their values:"] if moment.conditions else []
+    listed = ["it evaluated these conditions, with these values:"] if moment.conditions else []
     return (("The moment", _prose([str(moment), *listed]), moment.conditions),)
 
 
 def _happened(lines: Sequence[str], finding: Finding) -> tuple[Paragraph, ...]:
-    """Return what is known of a finding in addition to what stands above its picture: lines that explain its run."""
     shown: list[tuple[str, list[str]]] = [("", [*filter(None, lines)])]
     runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
     size = [f"{how}{'' if number else runs}" for number, how in enumerate(shrunk_lines(finding))]
-    shown.append(("Shrunk", size))
+    shown.append(("Simplified", size))
     perception = finding.perception
-    shown.append(("Others", [] if perception is None else [f"found with {perception.described}"]))
+    shown.append(("Perception", [] if perception is None else [f"found with {perception.described}"]))
     return tuple((title, _prose(sentences), ()) for title, sentences in shown if sentences)
 
 
-def _deed(run: Run, names: Sequence[str]) -> str:
-    """Return the sentence on what the ego did that decides, with the name of an action that began a change of lanes."""
-    words, number, actions = fact_on(run), moved_over(run), run.trace.actions
-    # A vehicle class as the ADS has no actions.
-    name = "" if number is None or number >= len(actions) else _decided(actions[number], names)
-    return _prose([f"{words} ({name})" if name in names else words]) if words else ""
-
-
 def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
-    """Return the decisions of a run's ADS in words, given the plain data of its world."""
     names = action_names(world)
     times = (tick / trace.physics_hz for tick in trace.decision_ticks)
     decided = zip(
@@ -353,7 +318,6 @@ def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
 
 
 def _decided(action: Any, names: Sequence[str]) -> str:
-    """Return one decision in words, given the names of an environment's actions."""
     plain = action.item() if isinstance(action, np.generic) else action
     if isinstance(plain, int) and 0 <= plain < len(names):
         return names[plain]
@@ -372,7 +336,7 @@ def _assertion(expect: Expect) -> str:
 
 
 def frame_ticks(trace: Trace) -> list[int]:
-    """Return the ticks of a run's frames: about seven per second, the last tick, and the tick of a collision."""
+    """Return the ticks of a run's frames: about seven per second, the last one, and the collision."""
     stride = max(1, round(trace.physics_hz / FRAMES_PER_SECOND))
     ticks = {*range(0, trace.ticks + 1, stride), trace.ticks}
     if trace.collision is not None:
@@ -381,12 +345,8 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
-    """Return the vehicles of a run, the ego first, most of whose values are for each frame.
-
-    An NPC also has the ``gap`` between its box and the ego's, the time to contact with the ego at constant velocities
-    (``ttc``), and in ``cells`` the grid cell with its centre: 0 for the ego's place, None while it is not on the ego's
-    way. One that crosses has its zone, and the expected time between the ego and it there (``advantage``).
-    """
+    # The ego first. Most values have one entry per frame. In `cells`, 0 is the ego's own cell, and None means that the
+    # NPC is not on the ego's path. `advantage` is the expected time between the two at their conflict zone.
     encounters = Encounters(trace)
     gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
     along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
@@ -420,13 +380,10 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
 
 
 def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
-    """Return the ego with the careful driver whose takeover is the latest that avoids the collision, until the impact.
-
-    ``first`` is the index of its first frame. None if there is no such driver, or its world cannot simulate it here.
-    """
+    # The careful driver from the takeover to the impact; `first` is the index of the first frame.
     run, expect, taken = sighting.run, sighting.finding.expect, None
     if run is not None and run.take_over is not None and expect.takeover and expect.is_of(run):
-        with suppress(DriverError):  # a world of the user's that once could
+        with suppress(DriverError):  # the user's world may no longer support the driver
             taken = takeovers.drive(run.trace, expect.takeover, run.take_over)
     if run is None or taken is None or not expect.takeover:
         return None
@@ -442,13 +399,11 @@ def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
 
 
 def zone_view(zone: Zone, length: float, width: float) -> View:
-    """Return the zone of a crossing NPC of a length, whose drawn area has a width [m]: points of the way and the area.
-
-    A vehicle's centre is in the zone from when its front may touch a vehicle there until its rear no longer can, so the
-    drawn area is shorter than the zone by the NPC's length.
-    """
+    """Return a crossing NPC's path and the area of its conflict zone, given the NPC's length and a drawn width [m]."""
     if not zone.line:
         return {"name": zone.way, "way": (), "area": (), "width": 0.0}
+    # An NPC's centre is in the zone while any part of it may touch a vehicle there, so the area is shorter than the
+    # zone by the length of the NPC.
     line = np.array(zone.line)
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
@@ -462,11 +417,7 @@ def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
-    """Return the instructions of all NPCs as they were driven; without a run, as in the scenario and not started.
-
-    One for a cell has the cell of the scenario, ``requested``, and the one that the NPC drove to, which the repair may
-    have changed; one for a lane or for crossing has this ``lane`` or ``zone``, and ``words``.
-    """
+    # As executed if there is a run. The repair may have changed a cell, so `requested` is next to `cell`.
     wanted = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
@@ -476,7 +427,7 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
         for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
             tick = None if trace is None else arrival(trace, npc, gene)
             end = (gene + 1) * wanted.gene_seconds
-            if followed.crosses and trace is not None:  # it lasts for the whole run
+            if followed.crosses and trace is not None:  # it continues until the end of the run
                 end = max(end, trace.duration)
             apart = math.nan if trace is None else lanes_apart(trace, npc, gene)
             zone = zones[npc]
@@ -495,6 +446,5 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:
-    """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
-    rounded = np.round(values, digits) + 0.0
+    rounded = np.round(values, digits) + 0.0  # -0.0 becomes 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)

@@ -1,7 +1,4 @@
-"""The search as a plan: an algorithm proposes scenarios, and learns from their evaluations.
-
-This package does not simulate: whoever follows a :class:`~pytest_pafot.searching.plan.Plan` does.
-"""
+"""Search algorithms: they propose scenarios and learn from the evaluations."""
 
 from __future__ import annotations
 

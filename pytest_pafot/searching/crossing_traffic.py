@@ -1,7 +1,4 @@
-"""NPCs on ways that cross the ego's: their instructions are sampled and varied so that these NPCs do not conflict.
-
-NPCs that do not cross are not checked for conflicts, because where they drive depends on the ego.
-"""
+"""The sampling of NPCs on crossing paths, without conflicts between them."""
 
 from __future__ import annotations
 
@@ -22,59 +19,51 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Chromosome
 
+# Acts that are sampled. ``late`` is not, because it often leaves open which vehicle had to wait.
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
-"""Acts that are sampled. ``late`` is left out, because after it one can often dispute who had to wait."""
-PASSES = 0.7
-"""Share of the crossing NPCs that drive through their zone without stopping."""
+PASSES = 0.7  # fraction of the crossing NPCs that drive through their zone without stopping
+# Probability of each kind of slot. "Just after" is most likely, because it tests an ego that hesitates.
 SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
-"""Probability of each of the five kinds of slots. "Just after" is most likely: it meets an ego that hesitates."""
-SLOWEST = 3.0
-"""Lowest target speed of an NPC that crosses [m/s]; slower NPCs rarely arrive at their zone."""
+SLOWEST = 3.0  # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
+# Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
+# sampled.
 SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
-"""Probabilities that a variation of an instruction moves its slot, changes its speed, or changes its act; otherwise a
-new instruction is sampled."""
-SHIFT = 0.8
-"""Standard deviation of the time by which a variation moves a slot [s]."""
-ATTEMPTS = 30
-"""Number of attempts to sample an instruction that does not conflict with other NPCs."""
-MOST_ATTEMPTS = 1000
-"""Number of attempts to sample an instruction with which an NPC can start on its way, before an error is raised."""
+SHIFT = 0.8  # standard deviation of the time by which a variation moves a slot [s]
+ATTEMPTS = 30  # attempts to sample an instruction that does not conflict with other NPCs
+MOST_ATTEMPTS = 1000  # attempts to sample an instruction that fits its path, before an error is raised
 
 
 @dataclass(frozen=True, slots=True)
 class CrossingTraffic:
-    """The distribution from which the instructions of crossing NPCs are sampled.
+    """The distribution of the instructions of crossing NPCs.
 
-    Attributes:
-        crossings: the ways of the world.
-        low, high: lowest and highest target speed [m/s]; bends of a way may limit it further.
-        most_on_grid: largest number of NPCs that do not cross in the same scenario; each needs a cell to start in.
+    Other NPCs are not checked for conflicts, because their paths depend on the ego.
     """
 
-    crossings: Crossings
-    low: float
-    high: float
-    most_on_grid: int
+    crossings: Crossings  # the paths of the world
+    low: float  # lowest target speed [m/s]
+    high: float  # highest target speed [m/s], where the bends of a path do not limit it further
+    most_on_grid: int  # largest number of other NPCs in a scenario; each needs a cell to start in
 
-    def drawn(self, rng: Generator) -> CrossingInstruction:
-        """Sample an instruction with which an NPC can start on its way.
+    def sample(self, rng: Generator) -> CrossingInstruction:
+        """Sample an instruction with which an NPC can start on its path.
 
         Raises:
-            ValueError: if hardly any instruction fits.
+            ValueError: if almost no instruction fits.
         """
         for _ in range(MOST_ATTEMPTS):
             zones = self.crossings.zones
             zone = zones[int(rng.integers(len(zones)))].way
-            instruction = CrossingInstruction(zone, drawn_slot(rng), self._speed(zone, rng), self._act(rng))
+            instruction = CrossingInstruction(zone, sample_slot(rng), self._speed(zone, rng), self._act(rng))
             if self.crossings.fits(instruction):
                 return instruction
         raise ValueError(
-            f"crossings: expected ways on which an NPC can start and keep a slot, received {len(self.crossings.ways)} "
-            f"on which none of {MOST_ATTEMPTS} instructions fits; let the ego start earlier, or give crossings=None"
+            f"crossings: expected paths on which an NPC can start and arrive, but none of {MOST_ATTEMPTS} instructions "
+            f"fits (number of paths: {len(self.crossings.ways)}). Start the ego earlier, or use crossings=None."
         )
 
-    def varied(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
-        """Change the slot, speed or act of an instruction, or sample a new one; the result may not fit its way."""
+    def vary(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
+        """Change the slot, speed or act, or sample a new instruction, which may not fit its path."""
         share = rng.random()
         if share < SLOT_CHANGE:
             step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
@@ -85,30 +74,28 @@ class CrossingTraffic:
         if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE:
             others = [act for act in ACTS if act != instruction.act]
             return replace(instruction, act=others[int(rng.integers(len(others)))])
-        return self.drawn(rng)
+        return self.sample(rng)
 
-    def beside(
+    def first_with_room(
         self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
     ) -> CrossingInstruction | None:
-        """Return the first proposal that fits its way and does not conflict with ``others``; None after 30 attempts."""
+        """Return the first of 30 proposals that fits, see :meth:`has_room`, or None."""
         proposals = (propose() for _ in range(ATTEMPTS))
         return next((each for each in proposals if self.has_room(each, others)), None)
 
     def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
-        """Return whether an instruction fits its way and does not conflict with any of ``others``."""
+        """Return whether an instruction fits its path and conflicts with no other one."""
         return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
 
-    def cleared(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
-        """Return the chains without conflicts between crossing NPCs, and with at most ``most_on_grid`` others.
+    def without_conflicts(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
+        """Return the chains after resolving conflicts between crossing NPCs.
 
-        An instruction that conflicts with an earlier chain is sampled again, at first with the same way, speed and act.
-        If that does not help, the NPC arrives as long after the ego as possible. If that conflicts as well, the NPC is
-        left out. An NPC without a cell to start in crosses instead. No random number is used if everything fits.
+        NPCs that fit nowhere are omitted. No random number is used if there is no conflict.
         """
-        return tuple(chain for _, chain in self.numbered(npcs, rng))
+        return tuple(chain for _, chain in self.numbered_without_conflicts(npcs, rng))
 
-    def numbered(self, npcs: Sequence[Chromosome], rng: Generator) -> list[tuple[int, Chromosome]]:
-        """Return the chains of :meth:`cleared`, each with its index before some were left out."""
+    def numbered_without_conflicts(self, npcs: Sequence[Chromosome], rng: Generator) -> list[tuple[int, Chromosome]]:
+        """Return the chains of :meth:`without_conflicts`, each with its index in ``npcs``."""
         kept: list[tuple[int, Chromosome]] = []
         told: list[CrossingInstruction] = []
         for npc, chain in enumerate(npcs):
@@ -116,7 +103,8 @@ class CrossingTraffic:
             if not first.crosses and len(kept) - len(told) < self.most_on_grid:
                 kept.append((npc, chain))
                 continue
-            wanted = cast("CrossingInstruction", first) if first.crosses else self.drawn(rng)
+            # An NPC for which no cell is left to start in crosses instead.
+            wanted = cast("CrossingInstruction", first) if first.crosses else self.sample(rng)
             found = self._room_for(wanted, told, rng)
             if found is not None:
                 told.append(found)
@@ -128,16 +116,18 @@ class CrossingTraffic:
     ) -> CrossingInstruction | None:
         if self.has_room(instruction, others):
             return instruction
-        another = self.beside(others, lambda: replace(instruction, slot=drawn_slot(rng)))
+        # Try the same path, speed and act with other slots, then other instructions, and last an NPC that comes as late
+        # as possible.
+        another = self.first_with_room(others, lambda: replace(instruction, slot=sample_slot(rng)))
         if another is None:
-            another = self.beside(others, lambda: self.drawn(rng))
+            another = self.first_with_room(others, lambda: self.sample(rng))
         if another is None:
             last = replace(instruction, slot=LARGEST_SLOT, act="pass")
             another = last if self.has_room(last, others) else None
         return another
 
     def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds at which an NPC can arrive at a zone together with the ego [m/s]."""
+        """Return the target speeds of NPCs that can arrive together with the ego [m/s]."""
         low, high = self._bounds(zone)
         speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
         return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
@@ -147,8 +137,9 @@ class CrossingTraffic:
         return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
 
     def _bounds(self, zone: str) -> tuple[int, int]:
-        """Return the lowest and highest target speed on the way to a zone, in steps of 0.1 m/s."""
+        """Return the limits of the target speed on a path, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
+        # The fastest section before the exit of the zone limits the target speed.
         allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
         high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
         return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high
@@ -159,9 +150,10 @@ class CrossingTraffic:
         return ACTS[1 + int(rng.integers(len(ACTS) - 1))]
 
 
-def drawn_slot(rng: Generator) -> float:
-    """Sample a slot [s]: one of the five kinds, then a time in it. Times from 1 s on are rarer the longer they are."""
+def sample_slot(rng: Generator) -> float:
+    """Sample a slot [s]."""
     name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
+    # The square makes longer times rarer.
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
     slots = {"well before": -far, "just before": -near, "together": 0.0, "just after": near, "well after": far}

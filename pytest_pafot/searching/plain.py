@@ -1,9 +1,4 @@
-"""Conversion of values to plain data that JSON can store, and back, to store a search between two sessions.
-
-The value decides how it is written: a frozen dataclass becomes the list of its fields, in their order; a mapping
-becomes the list of its pairs; a set a sorted list; and a number that JSON cannot express a text. To read data, the
-caller names its type. Everything that does not fit the type is refused, because anyone may have written the file.
-"""
+"""Conversion of values to JSON-compatible data and back."""
 
 from __future__ import annotations
 
@@ -29,20 +24,22 @@ from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")
 
+# The value decides how it is written: a frozen dataclass as the list of its fields, a mapping as the list of its
+# pairs, a set as a sorted list, and a number that JSON cannot express as a string. The reader names the type, and
+# rejects everything else, because the file may be from an untrusted source.
+
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _PLAIN_ALREADY = Mapping[str, Any]
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to lists, texts, numbers, booleans and None.
+    """Convert a value to lists, strings, numbers, booleans and None.
 
-    The value may also contain dataclasses, tuples, mappings, sets, enumerations, days and scenarios. Fields of a
-    dataclass are left out that have the type Any or ``metadata=IN_MEMORY``; those with the type Mapping[str, Any] are
-    plain data already.
+    Fields with the type Any or ``metadata=IN_MEMORY`` are omitted.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: for a value of another type.
     """
     kind = type(value)
     if kind in _AS_THEY_ARE:
@@ -59,6 +56,7 @@ def plain(value: Any) -> Any:
         if hasattr(value, "isoformat"):
             return value.isoformat()
         if is_dataclass(value) and not isinstance(value, type):
+            # A field of the type Mapping[str, Any] is JSON-compatible already.
             parts = ((getattr(value, name), hint) for name, hint in _hints(type(value)).items())
             return [dict(part) if hint == _PLAIN_ALREADY else plain(part) for part, hint in parts]
         if isinstance(value, Mapping):
@@ -68,30 +66,29 @@ def plain(value: Any) -> Any:
         return operator.index(value)
     except TypeError:
         raise ValueError(
-            f"expected a value that JSON can hold, or a dataclass of such values, received {value!r:.100}; convert it"
+            f"expected a value that JSON can store, or a dataclass of such values, but received {value!r:.100}"
         ) from None
 
 
 def from_plain(kind: type[T], data: Any) -> T:
-    """Convert data that :func:`plain` made back to a value of the type ``kind``.
+    """Convert data from :func:`plain` back to a value of the type ``kind``.
 
     Raises:
-        FieldError: for data that does not fit the type, with the place of the mismatch, such as ``[2][0]``.
-        TypeError: for a type that cannot be read.
+        FieldError: for data that does not fit the type, with its position, such as ``[2][0]``.
+        TypeError: for a type that cannot be stored.
     """
     return cast("T", _read(kind, data))
 
 
 @lru_cache(maxsize=256)
 def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of a dataclass's stored fields, by name."""
+    """Return the types of a dataclass's stored fields."""
     hints = get_type_hints(kind)
     stored = (each.name for each in fields(kind) if each.init and each.metadata != IN_MEMORY)
     return {name: hints[name] for name in stored if hints[name] is not Any}
 
 
 def _read(kind: Any, data: Any) -> Any:
-    """Return the value of a type for its plain data."""
     if kind is float:
         if type(data) is float or type(data) is int:
             return float(data)
@@ -100,13 +97,13 @@ def _read(kind: Any, data: Any) -> Any:
         raise _refuse("a number", data)
     if kind is int or kind is str or kind is bool:
         if type(data) is not kind:
-            raise _refuse({int: "a whole number", str: "a text", bool: "true or false"}[kind], data)
+            raise _refuse({int: "a whole number", str: "a string", bool: "true or false"}[kind], data)
         return data
     if kind is Scenario:
         try:
             return Scenario.from_canonical(data)
         except ScenarioError:
-            raise  # it is a ValueError, and already says what is wrong
+            raise  # it is a ValueError, but its message is better than the one below
         except (TypeError, ValueError):
             raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
@@ -119,7 +116,7 @@ def _read(kind: Any, data: Any) -> Any:
         for each in others:
             with suppress(FieldError):
                 return _read(each, data)
-        return _read(last, data)  # which reports what is wrong
+        return _read(last, data)  # if this fails as well, its error is reported
     is_enum = isinstance(kind, type) and issubclass(kind, Enum)
     if is_enum or origin is Literal:
         known = [each.value for each in kind] if is_enum else inner
@@ -151,7 +148,7 @@ def _read(kind: Any, data: Any) -> Any:
         one = types.GenericAlias(tuple, (inner[0], inner[1] if origin is Mapping else int))
     else:
         raise TypeError(
-            f"expected a type whose values can be stored, received {kind!r}; see pytest_pafot.searching.plain"
+            f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.searching.plain."
         )
     if type(data) is not list or (kinds is not None and len(data) != len(kinds)):
         raise _refuse("a list" if kinds is None else f"a list of {len(kinds)} values", data)

@@ -1,10 +1,4 @@
-"""The interface of the algorithms that breed, which is ask and tell, and the plan of a search by one of them.
-
-In each generation a :class:`Plan` gets scenarios from ``ask`` of an algorithm, and passes their evaluations to
-``tell``. It runs nothing and measures no time, so the same evaluations give the same scenarios. A search needs only the
-methods of :class:`Algorithm`. :class:`GenerationalSearch` is a base class for algorithms without local searches, also
-for users' own: a subclass defines what it proposes and learns.
-"""
+"""The ask-and-tell interface of search algorithms, and the plan of a search."""
 
 from __future__ import annotations
 
@@ -37,7 +31,7 @@ from pytest_pafot.searching.space import SearchSpace
 
 
 class SearchState(Protocol):
-    """The parts of an algorithm's state that a campaign reads; a state is an immutable value."""
+    """The parts of an algorithm's state that a search reads. A state is an immutable value."""
 
     @property
     def generation(self) -> int:
@@ -45,17 +39,17 @@ class SearchState(Protocol):
 
     @property
     def local_generation(self) -> int:
-        """The current or next generation of a local search, counted from 1; 0 in the main search."""
+        """The current or next generation of a local search, from 1; 0 in the main search."""
 
 
 StateT = TypeVar("StateT", bound=SearchState)
 
 
 class Algorithm(Protocol[StateT]):
-    """A search strategy: a value without internal state; all randomness is passed to it.
+    """A search algorithm: a value without internal state, which receives its random generator in each call.
 
-    Its class is called with a :class:`~pytest_pafot.searching.space.SearchSpace` and the parameter ``population``, and
-    may have the attributes of :class:`~pytest_pafot.searching.algorithms.catalogue.AlgorithmClass`.
+    The class is called with a :class:`~pytest_pafot.searching.space.SearchSpace`. It may have the attributes of
+    :class:`~pytest_pafot.searching.algorithms.catalogue.AlgorithmClass`.
     """
 
     @property
@@ -66,7 +60,7 @@ class Algorithm(Protocol[StateT]):
         """Return the state before the first generation."""
 
     def ask(self, state: StateT, rng: Rng) -> tuple[StateT, tuple[Scenario, ...]]:
-        """Return the new state, and the scenarios to evaluate next; none if the generation has no new scenario.
+        """Return the new state, and the scenarios to evaluate next.
 
         Raises:
             RuntimeError: if ``tell`` was not called after the last ``ask``.
@@ -75,23 +69,23 @@ class Algorithm(Protocol[StateT]):
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish the generation of the last ``ask``, with the evaluations of its scenarios in the same order.
+        """Finish a generation with the evaluations of its scenarios, in the same order.
 
         Raises:
             RuntimeError: if ``ask`` was not called before.
-            ValueError: if the evaluations are not those of the requested scenarios.
+            ValueError: if the evaluations do not match the scenarios.
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationState:
-    """The state of a search without local searches, between two calls of ``ask`` or ``tell``."""
+    """The state of a search without local searches."""
 
     generation: int = 0  # counted from 0
     local_generation: int = 0  # always 0, because there is no local search
     best: Evaluation | None = None  # None before the first eligible run
-    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
-    proposed: int = 0  # number of scenarios so far
+    asked: tuple[Scenario, ...] | None = None  # scenarios being evaluated; None if the next call must be ask
+    proposed: int = 0  # number of proposed scenarios so far
 
 
 GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
@@ -120,23 +114,21 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Return the next state and the scenarios of the next generation; an iterator may sample them when read."""
+        """Return the next state and the scenarios of the next generation."""
 
     def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
-        """Return the state after learning from a generation's runs; ``tell`` updates ``best`` and ``generation``."""
+        """Return the state after a generation. ``tell`` updates ``best`` and ``generation``."""
         return state
 
     def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
-        """Return the scenarios of the next generation."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
-        asked = tuple(proposed)
+        asked = tuple(proposed)  # an iterator may sample the scenarios only now
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def tell(
         self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation, local_generation=0, population=tuple(evaluations), elites=0
@@ -153,7 +145,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 def end_of_local_search(
     state: SearchState, incumbent: Evaluation, better: Evaluation | None
 ) -> tuple[AlgorithmEvent, ...]:
-    """Return the events at the end of a local search; ``better`` is its best scenario if that beats the incumbent."""
+    """Return the events at the end of a local search. ``better`` is its result if the incumbent was beaten."""
     finished = LocalSearchFinished(
         generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
     )
@@ -163,63 +155,44 @@ def end_of_local_search(
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
-    """Refuse a call of ``ask`` while scenarios are under evaluation; ``asked`` is None if there are none.
-
-    Raises:
-        RuntimeError: if ``tell`` was not called after the last ``ask``.
-    """
+    """Raise a RuntimeError if ``ask`` is called while scenarios are being evaluated."""
     if asked is not None:
         raise RuntimeError(
-            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios, received a second ask; "
-            "evaluate the scenarios, and pass tell their evaluations and the state that ask returned"
+            f"ask: expected a call of tell after the last ask, which returned {len(asked)} scenarios, but received a "
+            "second ask. Evaluate the scenarios, and pass their evaluations and the state from ask to tell."
         )
 
 
 def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that do not match the requested scenarios one by one.
-
-    Raises:
-        RuntimeError: if no scenarios were requested.
-        ValueError: if there are more or fewer evaluations, or one is of a different scenario.
-    """
+    """Raise an error if evaluations do not match the requested scenarios one by one."""
     if asked is None:
         raise RuntimeError(
-            "tell: expected a state that ask returned, received a state in which no scenarios were requested; "
-            "call ask first"
+            "tell: expected a state from ask, but received a state in which no scenarios were requested. Call ask "
+            "first."
         )
     check_order("tell", asked, evaluations)
 
 
 def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that do not match the scenarios one by one.
-
-    Raises:
-        ValueError: if there are more or fewer evaluations, or one is of a different scenario; the message begins with
-            ``place``.
-    """
+    """Raise a ValueError that starts with ``place`` if evaluations do not match scenarios one by one."""
     if len(evaluations) != len(scenarios):
         raise ValueError(
-            f"{place}: expected {len(scenarios)} evaluations, one per scenario, received {len(evaluations)}; "
-            "evaluate every scenario, including invalid ones"
+            f"{place}: expected {len(scenarios)} evaluations, one per scenario, but received {len(evaluations)}. "
+            "Evaluate every scenario, including invalid ones."
         )
     for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
             raise ValueError(
-                f"{place}: expected the evaluation of {scenario} at {index}, received the evaluation of "
-                f"{evaluation.scenario}; keep the order of the scenarios"
+                f"{place}: expected the evaluation of {scenario} at {index}, but received the evaluation of "
+                f"{evaluation.scenario}. Keep the order of the scenarios."
             )
 
 
-MOST = 10_000
-"""The largest population. All scenarios of a generation are in memory at once."""
+MOST = 10_000  # largest population; all scenarios of a generation are in memory together
 
 
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
-    """Refuse parameters of a search that are out of range: rates outside 0 to 1, negative factors, and low counts.
-
-    Raises:
-        ValueError: for the first wrong parameter; the message names it.
-    """
+    """Raise a ValueError that names the first parameter that is out of range."""
     limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
     limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
     limits |= {name: (bound, math.inf, f"a count of at least {bound}") for name, bound in least.items()}
@@ -227,27 +200,21 @@ def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple
         limits["population"] = (least["population"], MOST, f"a count from {least['population']} to {MOST}")
     for name, (low, high, expected) in limits.items():
         if not low <= getattr(search, name) <= high:
-            raise ValueError(f"{name}: expected {expected}, received {getattr(search, name)!r}")
+            raise ValueError(f"{name}: expected {expected}, but received {getattr(search, name)!r}")
 
 
 class Plan:
-    """The scenarios of a search in their order, and what its algorithm has learnt.
+    """The scenarios of a search in their order, and what its algorithm has learned.
 
-    The scenarios depend only on the algorithm, the seed and the evaluations: every generation has its own random
-    generator, derived from (seed, generation, local generation). A scenario is simulated only if no earlier run shows
-    its result; otherwise the earlier evaluation is taken again, and its event is marked.
-
-    Whoever runs it asks for one :meth:`scenario` after the other and passes its evaluation to :meth:`take`. A
-    generation that has no scenario :attr:`is_whole` at once, and must be learnt by :meth:`learn`.
+    The scenarios depend only on the algorithm, the seed and the evaluations. The caller passes the evaluation of each
+    :meth:`scenario` to :meth:`take`.
 
     Args:
         algorithm: the algorithm to run.
-        generations: generations of the main search, at least 1; those of local searches are additional. None if the
-            number of ``runs`` is the limit; there are never more generations than runs.
-        seed: seed of all random numbers, at least 0.
-        runs: number of simulated scenarios after which the search ends, at least 1; None for no limit. If the limit
-            is reached inside a generation, it is reported as finished, but the algorithm does not receive its results.
-        seeds_matter: True if the seed of a scenario can change its run even if the NPCs drive the same chains.
+        generations: limit of the generations of the main search; None if ``runs`` is the limit.
+        seed: seed of all random numbers.
+        runs: limit of the simulated scenarios; None for no limit.
+        seeds_matter: True if the seed of a scenario can change its run although the chains are the same.
 
     Raises:
         ValueError: for an argument out of range.
@@ -263,17 +230,16 @@ class Plan:
         seeds_matter: bool = False,
     ) -> None:
         if generations is None and runs is None:
-            raise ValueError("generations, runs: expected at least one of them, received neither")
+            raise ValueError("generations, runs: expected at least one of them, but received neither")
         for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
             if value is not None and value < least:
-                raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
+                raise ValueError(f"{name}: expected a whole number, at least {least}, but received {value!r}")
         self.algorithm = algorithm
-        self.started = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
-        """The first event."""
+        self.started = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)  # the first event
+        # The totals over all evaluations so far.
         self.sums = CampaignFinished(
             reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
         )
-        """The totals over all evaluations so far."""
         self._last_generation = generations or runs or 0
         self._last_run = runs or sys.maxsize
         self._cache = EvaluationCache(seeds_matter=seeds_matter)
@@ -281,59 +247,52 @@ class Plan:
         self._begin()
 
     def _begin(self) -> None:
-        """Draw the scenarios of the next generation."""
+        """Request the scenarios of the next generation."""
         self._cache.forget()
         self._told: list[tuple[Evaluation, bool]] = []  # with True if an earlier run shows it
         self._asked: tuple[Scenario, ...] = ()
         if not self.is_over:
+            # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.
             self._rng = rng_of(self.started.seed, self._state.generation, self._state.local_generation)
             self._state, self._asked = self.algorithm.ask(self._state, self._rng)
 
     @property
     def generation(self) -> int:
-        """The number of the generation that is evaluated, or of the next one."""
+        """The number of the current or next generation."""
         number: int = self._state.generation
         return number
 
     @property
     def is_over(self) -> bool:
-        """True if there is no further generation."""
         return self.generation >= self._last_generation
 
     @property
     def has_all_runs(self) -> bool:
-        """True if as many scenarios are simulated as were asked for."""
         return self.sums.simulated >= self._last_run
 
     @property
     def is_whole(self) -> bool:
         """True if all scenarios of the generation are evaluated."""
+        # A generation without a scenario is complete immediately. The caller must then call `learn`.
         return len(self._told) >= len(self._asked)
 
     def scenario(self) -> Scenario:
-        """Return the next scenario."""
         return self._asked[len(self._told)]
 
     def recalled(self) -> Evaluation | None:
-        """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
+        """Return the evaluation of the next scenario if an earlier run shows it, otherwise None."""
         return self._cache.recall(self.scenario())
 
     def ahead(self) -> list[Scenario]:
-        """Return the next scenarios of the generation that no earlier run shows.
-
-        They can be simulated in advance: most of them will be asked for, in this order.
-        """
+        """Return the scenarios of the generation that still need a run, in their order."""
         coming = dict.fromkeys(self._asked[len(self._told) :])
         unknown = (each for each in coming if self._cache.recall(each) is None)
         return [each for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)]
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
-        """Take the evaluation of the next scenario, and let the algorithm learn from a whole generation.
-
-        ``reused`` says that it is :meth:`recalled`.
-        """
+        """Record the evaluation of the next scenario. ``reused`` is True for one from :meth:`recalled`."""
         if evaluation.scenario is not self.scenario() and evaluation.scenario != self.scenario():
-            raise ValueError(f"expected the evaluation of {self.scenario()}, received that of {evaluation.scenario}")
+            raise ValueError(f"expected the evaluation of {self.scenario()}, but received {evaluation.scenario}")
         event = Evaluated(
             generation=self._state.generation,
             local_generation=self._state.local_generation,
@@ -354,16 +313,13 @@ class Plan:
         return (event, *(self.learn() if self.is_whole else ()))
 
     def learn(self) -> Sequence[Event]:
-        """Let the algorithm learn from a whole generation, and draw the next one.
-
-        The events lack a restart that no generation follows.
-        """
+        """Pass a complete generation to the algorithm, and request the next one."""
         evaluations = tuple(each for each, _ in self._told)
         self._state, events = self.algorithm.tell(self._state, evaluations, self._rng)
         happened = []
         for event in events:
             if isinstance(event, Restarted) and event.generation >= self._last_generation:
-                continue
+                continue  # no generation follows, so there is no restart
             if isinstance(event, GenerationFinished) and event.local_generation == 0:
                 self.sums = replace(self.sums, generations=self.sums.generations + 1)
             if isinstance(event, NewBest) and improves(event.evaluation, self.sums.best):
@@ -373,8 +329,9 @@ class Plan:
         return happened
 
     def finished(self, reason: EndReason, seconds: float = 0.0) -> Iterator[Event]:
-        """Yield the last events. A generation that the limit on runs cut is reported, but not learnt."""
+        """Yield the events at the end of the search."""
         sums = self.sums
+        # A generation that the limit of runs cut is reported, but the algorithm does not learn from it.
         if reason == "runs" and self._told:
             population, local = tuple(each for each, _ in self._told), self._state.local_generation
             yield GenerationFinished(

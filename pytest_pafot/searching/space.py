@@ -1,12 +1,4 @@
-"""The space that a search samples scenarios from, its dangerous patterns, and the repair of chains.
-
-A pattern is a phrase of one or two Position-Instructions and says what an NPC does around the ego. A scenario never
-starts in a dangerous state: NPCs start as in any scenario, and drive into it. A pattern is defined for the ego's left
-side, front or rear, and mirrored half of the time.
-
-Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
-2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
-"""
+"""The space from which a search samples scenarios, with its dangerous patterns."""
 
 from __future__ import annotations
 
@@ -46,11 +38,11 @@ from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
+# A limit of a target speed: a factor of the ego's initial speed, and an offset [m/s]. The result is at most the speed
+# limit.
 Bound = tuple[float, float]
-"""A limit of a target speed: a share of the ego's first speed, plus an offset [m/s]; from 0 to the speed limit."""
 
-LIMIT = (0.0, math.inf)
-"""The bound that is always clipped to the speed limit."""
+LIMIT = (0.0, math.inf)  # the speed limit
 
 
 class Step(NamedTuple):
@@ -62,13 +54,17 @@ class Step(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """The steps of an NPC, with a name and the source that lists it as dangerous."""
+    """The steps of an NPC around the ego, with a name and the source that lists them as dangerous."""
 
     name: str
     steps: tuple[Step, ...]
     source: str
 
 
+# No scenario starts in a dangerous state: NPCs start as in any scenario, and drive into a pattern. Patterns are defined
+# for the ego's left side, front or rear. All have the same probability.
+# Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
+# 2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
 PATTERNS = (
     Pattern(
         "cut-in and brake",
@@ -111,24 +107,19 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-"""All patterns; each is sampled with equal probability."""
+# The steps of each pattern with left and right exchanged, by its name. Half of the samples have these.
 MIRRORED = {
     pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
     for pattern in PATTERNS
 }
-"""The steps of each pattern with left and right exchanged, by its name; half of the samples have these."""
 
-WALKING = ((1.0, -2.0), (1.0, 3.0))
-"""The lowest and highest target speed on the way from one pattern to the next."""
+WALKING = ((1.0, -2.0), (1.0, 3.0))  # the lowest and highest target speed from one pattern to the next
 
 
 def chain_of_patterns(
     genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Return a chain with ``genes`` genes: random patterns, one after the other, joined by steps on the ring.
-
-    Speeds depend on the ego's first speed [m/s], and are within ``bounds``, given in steps of 0.1 m/s.
-    """
+    """Return a chain of random patterns, joined by steps on the ring."""
     chain: list[PositionInstruction] = []
     while len(chain) < genes:
         chain = followed_by_pattern(chain, ego_speed, bounds, rng)
@@ -138,14 +129,17 @@ def chain_of_patterns(
 def followed_by_pattern(
     chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Append a random pattern to a chain, with the steps on the ring to its first cell; the chain may be empty."""
+    """Append a random pattern to a chain, after steps on the ring to the pattern's first cell.
+
+    ``ego_speed`` is in m/s, and ``bounds`` limits the speeds in steps of 0.1 m/s.
+    """
     pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
     steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
     way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
-    return [*chain, *(_drawn(step, ego_speed, bounds, rng) for step in (*way, *steps))]
+    return [*chain, *(_sample_gene(step, ego_speed, bounds, rng) for step in (*way, *steps))]
 
 
-def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator) -> PositionInstruction:
+def _sample_gene(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator) -> PositionInstruction:
     least, most = bounds
     low, high = (
         min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
@@ -156,28 +150,24 @@ def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
 
 
 def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
-    """Return the cells between two cells on the shorter side of the ring, or on a random side if they are opposite."""
+    """Return the cells between two cells on the shorter side of the ring."""
     clockwise = (last - first) % 8
     is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
     steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)
     return [Cell((first - 1 + step) % 8 + 1) for step in steps]
 
 
+# Smallest number of genes of an NPC on a curved road, even in short runs: to approach, to cut in, and to brake.
 LEAST_GENES = 3
-"""Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
-CROSSING = 0.75
-"""Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
-CARS = (CAR,)
-"""The vehicles of a search in which all NPCs are cars."""
-OTHERS = 1 / 6
-"""Share of the NPCs that are no cars, if NPCs can be other vehicles."""
-MOST_ON_GRID = 2
-"""Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
+CROSSING = 0.75  # fraction of the NPCs whose path crosses or joins the ego's path, if the world has such paths
+CARS = (CAR,)  # the vehicles of a search in which all NPCs are cars
+OTHERS = 1 / 6  # fraction of the NPCs that are not cars, if NPCs can be other vehicles
+MOST_ON_GRID = 2  # largest number of other NPCs next to crossing ones: one ahead of the ego and one behind it
 
+# The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or one of the two.
 Instructions = Literal["cells", "lanes", "both"]
-"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or one of the two."""
+# The probability that an NPC that does not cross has Lane-Instructions.
 LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
-"""Probability with which an NPC that does not cross has Lane-Instructions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,33 +175,24 @@ class SearchSpace:
     """The common properties of all scenarios of a search. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: number of NPCs in a scenario, 1 to 8, unless it is sampled.
+        npcs: number of NPCs in a scenario, from 1 to 8.
         genes: number of instructions of each NPC that does not cross.
-        gene_seconds: duration of one gene [s]. If it is sampled, the number of genes varies as well, so that all genes
-            together last equally long.
+        gene_seconds: duration of one gene [s].
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
-        ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego and of all NPCs that do not cross [m/s].
-        ego_lanes: lanes from which the ego's first lane is sampled; if empty, it is always ``ego_lane``. Otherwise
-            ``ego_lane`` is the lane that the shrinker prefers.
-        ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1 m/s; if None, it
-            is always ``ego_speed``. Otherwise ``ego_speed`` is the speed that the shrinker prefers.
-        patterns: whether half of the sampled scenarios, and a third of the mutations, have
-            :data:`~pytest_pafot.searching.space.PATTERNS` in chains of Position-Instructions.
-        traffic: how the NPCs drive in all scenarios.
-        most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from ``least_npcs`` up to
-            it. If empty, the number is always ``npcs``.
-        least_npcs: smallest number of NPCs if the number is sampled, unless ``most_npcs`` is smaller.
-        gene_durations: durations of a gene [s], of which one is sampled for each scenario; if empty, the duration is
-            always ``gene_seconds``.
-        crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
-            them. None if no NPC crosses.
-        most_on_grid: largest number of NPCs that do not cross if others do; each needs a cell to start in.
-        instructions: the instructions of the NPCs that do not cross: ``"cells"`` (Position-Instructions), ``"lanes"``
-            (Lane-Instructions), or ``"both"``, in which each NPC has one of the two kinds with equal probability.
-        vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
-        tick: the duration of a tick [s], to whole numbers of which all durations of genes are rounded; 0 if they are
-            used as they are.
+        ego_lane: the ego's initial lane, counted from 0 at the left.
+        ego_speed: initial speed of the ego and of all NPCs that do not cross [m/s].
+        ego_lanes: lanes from which the ego's initial lane is sampled.
+        ego_speeds: lowest and highest initial speed to sample [m/s].
+        patterns: whether half of the scenarios and a third of the mutations have dangerous patterns.
+        traffic: how the NPCs drive.
+        most_npcs: largest number of NPCs for each of the ``ego_lanes``, if the number is sampled.
+        least_npcs: smallest number of NPCs, if the number is sampled.
+        gene_durations: durations from which a gene's duration is sampled [s].
+        crossings: paths that cross the ego's path. Three quarters of all NPCs use them.
+        most_on_grid: largest number of NPCs that do not cross, if others do.
+        instructions: ``"cells"``, ``"lanes"``, or ``"both"`` with equal probability.
+        vehicles: vehicles that NPCs can be. If cars are among them, one NPC in six is no car.
+        tick: the duration of a tick [s]. Durations of genes are rounded to whole ticks; 0 leaves them as they are.
     """
 
     npcs: int = 2
@@ -220,6 +201,7 @@ class SearchSpace:
     speed_limit: float = PAPER_SPEED_LIMIT
     ego_lane: int = EGO_LANE
     ego_speed: float = EGO_SPEED
+    # If the start is sampled, `ego_lane` and `ego_speed` are what the shrinker prefers.
     ego_lanes: tuple[int, ...] = ()
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
@@ -238,34 +220,34 @@ class SearchSpace:
         object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
-        expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
+        expected = f"a number of seconds greater than 0 and at most {LONGEST_GENE:g}"
         checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
         if self.tick:
             object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
             object.__setattr__(self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations)))
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
-            raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, received {self.traffic!r:.100}")
+            raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}")
         if self.vehicles != CARS:  # by identity, since each sampled start makes a space
             object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
-            raise ValueError(f"instructions: expected {expected}, received {self.instructions!r:.100}")
+            raise ValueError(f"instructions: expected {expected}, but received {self.instructions!r:.100}")
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
             raise ValueError(
-                f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
+                f"ego_speeds: expected the lowest and the highest speed in m/s, but received {self.ego_speeds!r}"
             )
 
     def _in_ticks(self, seconds: float) -> float:
         return round(max(round(seconds / self.tick), 1) * self.tick, 13)  # such as 2.01 instead of 2.0099999999999998
 
     def sliced(self, slices: int) -> SearchSpace:
-        """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
+        """Return the space with ``slices`` genes per NPC and the same total duration."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
 
     @property
     def plain(self) -> dict[str, Any]:
-        """The fields as plain data: without ``crossings``; some others only if they are not usual."""
+        """The fields as JSON-compatible data, without ``crossings``."""
         data = asdict(replace(self, crossings=None))
         data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
         usual = {
@@ -280,20 +262,20 @@ class SearchSpace:
 
     @property
     def other_vehicles(self) -> tuple[VehicleType, ...]:
-        """The vehicles other than cars."""
         if self.vehicles == CARS:
             return ()
         return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
 
-    def drawn_vehicle(self, rng: Generator) -> VehicleType:
-        """Sample what vehicle an NPC is; without a random number if all are cars."""
+    def sample_vehicle(self, rng: Generator) -> VehicleType:
+        """Sample the vehicle of an NPC."""
         others = self.other_vehicles
+        # No random number is used if all NPCs are cars.
         if not others or (CAR in self.vehicles and rng.random() >= OTHERS):
             return CAR
         return others[int(rng.integers(len(others)))]
 
     def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
-        """Return a scenario in which no vehicle is too long for the bends of a way that meets the ego's."""
+        """Return a scenario in which no vehicle is too long for the bends of its path."""
         if not scenario.vehicles or self.crossings is None:
             return scenario
         vehicles = tuple(
@@ -309,17 +291,16 @@ class SearchSpace:
 
     @property
     def low_step(self) -> int:
-        """The lowest target speed in steps of 0.1 m/s, at most :attr:`top_step`."""
+        """The lowest target speed in steps of 0.1 m/s."""
         return min(round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
     def choices(self) -> Choices:
-        """The values that an instruction may have in this space."""
         return Choices(self.low_step, self.top_step)
 
     @property
     def described(self) -> str:
-        """A text such as ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
+        """A description, such as ``4 NPCs in hostile traffic``."""
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
@@ -328,7 +309,7 @@ class SearchSpace:
             npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
         traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
         count = len(self.zones)
-        ways = f", most of them on {count} ways that meet the ego's" if count else ""
+        ways = f", most of them on paths that cross the ego's path in {plural(count, 'zone')}" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
@@ -337,23 +318,23 @@ class SearchSpace:
 
     @property
     def zones(self) -> tuple[str, ...]:
-        """The names of the zones in which NPCs cross, in the order in which the ego reaches them."""
+        """The names of the zones in which NPCs cross, in the order of the ego's path."""
         return () if self.crossings is None else tuple(zone.way for zone in self.crossings.zones)
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
-        """The distribution of the instructions of crossing NPCs; None if no NPC crosses."""
+        """The distribution of the instructions of crossing NPCs, or None if no NPC crosses."""
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
         return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
-    def drawn(self, rng: Generator) -> SearchSpace:
-        """Sample the start, number of NPCs and duration of genes, and return the space in which these are fixed."""
+    def with_sampled_start(self, rng: Generator) -> SearchSpace:
+        """Sample the start and the size of scenarios, and return the space with these."""
         if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
             return self
         lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
-        speed = self.drawn_speed(rng)
+        speed = self.sample_speed(rng)
         most = self.most_on(lane)
         npcs = int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
         durations = self.gene_durations
@@ -361,28 +342,28 @@ class SearchSpace:
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
-        """Return the space with a fixed start [m/s], a fixed number of NPCs, and genes of a fixed duration [s]."""
+        """Return the space of scenarios with this start [m/s], and this number and duration of genes [s]."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 
     def most_on(self, lane: int) -> int:
-        """Return the largest number of NPCs in a scenario whose ego starts in a lane."""
+        """Return the largest number of NPCs for an initial lane of the ego."""
         lanes = self.ego_lanes or (self.ego_lane,)
         return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
 
     def genes_of(self, seconds: float) -> int:
-        """Return the number of genes of a duration [s] that together last as long as all genes of the space."""
+        """Return how many genes of this duration [s] fill the total duration."""
         if seconds == self.gene_seconds:
             return self.genes
         return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
 
     @property
     def has_speeds(self) -> bool:
-        """True if there are several first speeds to sample from."""
+        """True if the initial speed is sampled."""
         return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
 
-    def drawn_speed(self, rng: Generator) -> float:
-        """Sample the first speed of all vehicles [m/s]."""
+    def sample_speed(self, rng: Generator) -> float:
+        """Sample the initial speed of all vehicles [m/s]."""
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
@@ -394,17 +375,14 @@ def space_on(
 ) -> SearchSpace:
     """Return the space of scenarios in a world with a speed limit [m/s] and a longest run [s].
 
-    There are enough genes for the longest run, unless their number is given.
-
-    On a bent road the environment gives the ``start``: the ego's lane and speed [m/s], and the world's ticks per
-    second. All genes together then last as long as the longest run. There are at least three genes, of about ten
-    seconds or less.
+    On a curved road the environment gives the ``start``: the ego's lane and speed [m/s], and the ticks per second.
 
     Raises:
-        TypeError, ValueError: if a field in ``given`` is unknown or out of range, or the world cannot be built.
+        TypeError, ValueError: if a field in ``given`` is unknown or out of range.
     """
     wanted = dict(given)
     if start is not None:
+        # All genes together last as long as the longest run. There are at least three, of about ten seconds or less.
         lane, speed, physics_hz = start
         wanted = {"ego_lane": lane, "ego_speed": speed, **given}
         if "genes" not in wanted:
@@ -421,28 +399,18 @@ def space_on(
 
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
-    """Sample a valid scenario.
-
-    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them, then the kind
-    of each NPC's instructions. NPCs with Position-Instructions begin in
-    random distinct cells and walk on the ring: each stays in its cell or steps to either side with equal probability. A
-    step into a cell that a different NPC holds is repaired. If the space has patterns, half of the scenarios have
-    patterns instead of walks, repaired in the same way. Lane-Instructions keep the lane or change it to either side
-    with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
-
-    If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
-
-    In a space with other vehicles than cars, what each NPC is is sampled last.
-    """
+    """Sample a valid scenario."""
+    # Vehicles are sampled last, so that the numbers before them are the same in a space of cars.
     scenario = _sample_cars(space, rng)
     if not space.other_vehicles:
         return scenario
-    vehicles = tuple(space.drawn_vehicle(rng) for _ in scenario.npcs)
+    vehicles = tuple(space.sample_vehicle(rng) for _ in scenario.npcs)
     return space.with_fitting_vehicles(replace(scenario, vehicles=vehicles))
 
 
 def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
-    space = space.drawn(rng)
+    # The start, the number of NPCs and the duration of genes are sampled first, then the kinds of instructions.
+    space = space.with_sampled_start(rng)
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
@@ -457,9 +425,11 @@ def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
 
 def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:
     if npcs and space.patterns and rng.integers(2):
+        # Half of the scenarios have patterns instead of walks.
         bounds = space.low_step, space.top_step
         return [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(npcs)]
     first = rng.permutation(8)[:npcs, None]
+    # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
     steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
     return chains_of(walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist())
@@ -470,12 +440,12 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
     on_cells: tuple[Chromosome, ...] = ()
     if count < space.npcs:
         on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
-    chains = (*on_cells, *((crossing.drawn(rng),) for _ in range(count)))
-    return repaired(crossing.cleared(chains, rng), fresh_seed(rng), space)
+    chains = (*on_cells, *((crossing.sample(rng),) for _ in range(count)))
+    return repaired(crossing.without_conflicts(chains, rng), fresh_seed(rng), space)
 
 
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
-    """Return a chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
+    """Return a chain for each NPC from cells, and from speeds in steps of 0.1 m/s."""
     return [
         [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
@@ -483,8 +453,8 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
-    """Sample a scenario in which all NPCs have Lane-Instructions; it needs no repair, so its seed is 0."""
-    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
+    """Sample a scenario in which all NPCs have Lane-Instructions."""
+    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)  # no repair, so no seed
 
 
 def repaired(
@@ -495,13 +465,12 @@ def repaired(
 ) -> Scenario:
     """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
 
-    The result equals that of :meth:`Scenario.repaired`. This function is much faster, as a search calls it for every
-    child: it skips the repair of chains that are valid already. ``start`` gives the ego's lane, the first speed of all
-    vehicles, the duration of a gene and the traffic; if it is a scenario, also what vehicles the NPCs are, unless these
-    are given.
+    ``start`` gives everything but the chains, the seed and, if they are given, the vehicles.
     """
     if vehicles is None:
         vehicles = start.vehicles if isinstance(start, Scenario) else ()
+    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair, and a
+    # search repairs every child.
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
     npcs = tuple(map(tuple, chains))
@@ -527,5 +496,5 @@ def repaired(
 
 
 def fresh_seed(rng: Generator) -> int:
-    """Sample a seed for the repair of one scenario; it has 31 bits, so that it stays readable in a file."""
-    return int(rng.integers(2**31))
+    """Sample a seed for the repair of one scenario."""
+    return int(rng.integers(2**31))  # short enough to read in a file

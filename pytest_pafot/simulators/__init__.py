@@ -1,4 +1,4 @@
-"""Simulators that are ready to use as worlds: :func:`pytest_pafot.metadrive` and :func:`pytest_pafot.sumo`."""
+"""Built-in simulators: :func:`pytest_pafot.metadrive` and :func:`pytest_pafot.sumo`."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -1,6 +1,6 @@
-"""MetaDrive as a world, ``pafot.metadrive()``, and its own policies (``pip install "pytest-pafot[metadrive]"``).
+"""MetaDrive as a world, and its own policies (``pip install "pytest-pafot[metadrive]"``).
 
-MetaDrive's physics moves the ego. The package moves the other vehicles and puts MetaDrive's vehicles where they are.
+MetaDrive's physics moves the ego. The package moves the other vehicles and puts MetaDrive's vehicles there.
 """
 
 from __future__ import annotations
@@ -26,16 +26,15 @@ if TYPE_CHECKING:
     from pytest_pafot.world.simulator_world import WorldArguments
 
 VEHICLE = VehicleType(name="metadrive", length=4.515, width=1.852)
-"""MetaDrive's vehicle, which is the ego."""
+# The distance between the vehicle's axles [m].
 WHEELBASE = 2.469
-"""The distance between its axles [m]."""
+# The duration of a substep of the physics [s], and their number in a tick.
 SUBSTEP, SUBSTEPS = 0.02, 5
-"""The time of a substep of the physics [s], and their number in a tick."""
+# MetaDrive's sensors without pictures.
 DETECTORS = ("lidar", "side_detector", "lane_line_detector")
-"""MetaDrive's sensors that see no pictures."""
 
+# What a native policy of MetaDrive receives.
 Observed = Literal["lidar", "vehicle"]
-"""What a policy that uses MetaDrive itself receives."""
 
 
 def metadrive(
@@ -53,35 +52,35 @@ def metadrive(
     """Return a world in which MetaDrive's physics moves the ego. It needs ``pytest-pafot[metadrive]``.
 
     Args:
-        map: the blocks of the road in order, each the letter of a straight block, ``"S"``, or of a curve, ``"C"``. A
-            block is 40 to 80 m long. A run ends where the road does.
-        lanes: the number of lanes, 3.5 m wide.
-        observation: what the policy receives: None for a planner; ``"lidar"`` for the array of MetaDrive's
-            ``LidarStateObservation``, 275 numbers by default; ``"vehicle"`` for its ``BaseVehicle``. For the last two,
-            the policy returns steering and pedal from -1 to 1, as in ``env.step``.
+        map: blocks of the road in order, each a letter: ``"S"`` for a straight block or ``"C"`` for a curve. A block is
+            40 to 80 m long. A run ends at the end of the road.
+        lanes: number of lanes, 3.5 m wide.
+        observation: input of the policy: None for a planner; ``"lidar"`` for the array of MetaDrive's
+            ``LidarStateObservation``, 275 numbers by default; ``"vehicle"`` for its ``BaseVehicle``. In the last two
+            cases, the policy returns steering and pedal from -1 to 1, as in ``env.step``.
         sensors: settings of the lidar observation that differ from ``{"lidar": {"num_others": 4}}``: ``num_lasers`` and
-            ``distance`` [m] of MetaDrive's ``"lidar"``, ``"side_detector"`` and ``"lane_line_detector"``, and
-            ``num_others`` of the first.
-        speed_limit: in m/s. The engine of MetaDrive's vehicle pulls up to 22.2 m/s.
-        start_lane, start_speed, start_at: on a road with a curve, or one that is too short for ``duration``, the ego's
-            first lane, counted from 0 at the left, its first speed [m/s], and its place along the lane [m].
-        world: other arguments of :class:`pytest_pafot.SimulatorWorld`; ``ads_hz`` is 10 and ``duration`` 15 s unless
-            you give others.
+            ``distance`` [m] of ``"lidar"``, ``"side_detector"`` and ``"lane_line_detector"``, and ``num_others`` of
+            ``"lidar"``.
+        speed_limit: speed limit [m/s]. The engine of MetaDrive's vehicle reaches 22.2 m/s.
+        start_lane, start_speed, start_at: lane (from 0 at the left), speed [m/s] and position along the lane [m] of the
+            ego at the start, on a road with a curve or a road that is too short for ``duration``.
+        world: other arguments of :class:`pytest_pafot.SimulatorWorld`. By default, ``ads_hz`` is 10 and ``duration`` is
+            15 s.
 
     Raises:
-        WorldError: at the first use, if an argument cannot be used, or MetaDrive 0.4.3 is not installed.
+        WorldError: at the first use, if an argument cannot be used or MetaDrive 0.4.3 is not installed.
     """
     own: dict[str, Any] = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
     own |= {"speed_limit": speed_limit, "start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
     if "ego" in world:
         received = f"{world['ego']!r:.100}"
-        raise WorldError(field="ego", expected="MetaDrive's own vehicle", received=received, fix="leave ego= out")
+        raise WorldError(field="ego", expected="MetaDrive's own vehicle", received=received, fix="omit ego=")
     given: Any = {"ads_hz": 10, "duration": 15.0, "ego": VEHICLE, **world}
     return SimulatorWorld(partial(MetaDrive, **own), **given)
 
 
 class MetaDrive(Simulator):
-    """MetaDrive for :class:`pytest_pafot.SimulatorWorld`; the arguments are those of :func:`metadrive`."""
+    """MetaDrive as a simulator, with the arguments of :func:`metadrive`."""
 
     hz, lane_width = 10, 3.5
     y_is_left = moves_ego_only = one_at_a_time = True
@@ -101,7 +100,7 @@ class MetaDrive(Simulator):
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
             received = "none" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
-            fix = f"in an environment of Python 3.11, which both need: {install('metadrive')}"
+            fix = f"in a Python 3.11 environment, which MetaDrive needs: {install('metadrive')}"
             raise WorldError(field="pafot.metadrive", expected="MetaDrive 0.4.3", received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
             expected = 'letters of straight blocks and curves, such as "SSSCSS"'
@@ -113,7 +112,7 @@ class MetaDrive(Simulator):
         self._data = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
         self._data |= {"speed_limit": speed_limit, "start_lane": start_lane}
         self._data |= {"start_speed": start_speed, "start_at": start_at}
-        self._sensors = _checked(sensors)
+        self._sensors = _check_sensors(sensors)
         self.native = observation is not None
         self.speed_limit, self.start_lane, self.start_speed, self.start_at = (
             speed_limit, start_lane, start_speed, start_at,
@@ -126,11 +125,10 @@ class MetaDrive(Simulator):
         self.lanes = self._opened().lines()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the arguments."""
         return self._data
 
     def _opened(self) -> Any:
-        """Return the environment, which is made again if another world has used the engine meanwhile."""
+        # Another world may have used the engine in the meantime. The environment is then made again.
         if self._env is None or not self._env.is_open:
             from pytest_pafot.simulators.metadrive_engine import Env  # noqa: PLC0415  (imports MetaDrive, in 1.5 s)
 
@@ -138,7 +136,6 @@ class MetaDrive(Simulator):
         return self._env
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        """Begin a run with these vehicles at their places."""
         env, start = self._opened(), vehicles[0]
         self._length = start.length
         self._ego = env.begin((start.x, start.y), start.heading, start.speed)
@@ -156,7 +153,7 @@ class MetaDrive(Simulator):
                 npc.navigation.update_localization(npc)  # finds its lane, which MetaDrive's IDM reads
 
     def step(self, controls: Sequence[Any]) -> None:
-        """Let the physics move the ego by a tick, and put the others where they are at its end."""
+        # NPCs are put where they are at the end of the tick.
         self._put(controls[1:])
         engine, control = self._env.engine, controls[0]
         pedals = self._pedals(control) if control.action is None else control.action
@@ -165,7 +162,7 @@ class MetaDrive(Simulator):
         engine.after_step()
 
     def _pedals(self, control: Any) -> tuple[float, float]:
-        """Return steering and pedal, from -1 to 1, for an acceleration and the steering of the package's model."""
+        # From -1 to 1, for an acceleration and a steering angle of the package's model.
         vehicle = self._ego
         wheels = math.atan(math.tan(control.steering) * WHEELBASE / self._length)
         # The forces of the engine and the impulses of brakes act on each of four wheels.
@@ -175,17 +172,11 @@ class MetaDrive(Simulator):
         return wheels / math.radians(vehicle.max_steering), pedal or 1e-6  # a pedal of 0 brakes by 0.36 m/s^2
 
     def observe(self) -> Any:
-        """Return the array of the lidar observation, or the vehicle itself."""
         if self._observation == "vehicle":
             return self._ego
         return self._env.observations["default_agent"].observe(self._ego)
 
     def check_action(self, action: Any) -> tuple[float, ...]:
-        """Return steering and pedal as floats.
-
-        Raises:
-            ValueError: if these are not two finite numbers.
-        """
         try:
             checked = np.asarray(action, dtype=float)
         except (TypeError, ValueError):
@@ -195,19 +186,16 @@ class MetaDrive(Simulator):
         return tuple(checked.tolist())
 
     def states(self) -> list[tuple[float, ...]]:
-        """Return x, y, heading and speed of each vehicle; the others are where they were put."""
         ego = self._ego
         return [(*map(float, ego.position), float(ego.heading_theta), float(ego.speed)), *self._put_at]
 
     def close(self) -> None:
-        """End the engine."""
         if self._env is not None and self._env.is_open:
             self._env.close()
         self._env = None
 
 
-def _checked(sensors: Any) -> dict[str, dict[str, int]]:
-    """Return the settings of sensors, with the default of the lidar."""
+def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     checked: dict[str, dict[str, int]] = {"lidar": {"num_others": 4}}
     for name, given in sensors.items() if isinstance(sensors, Mapping) else [("sensors", sensors)] if sensors else ():
         most = {"num_lasers": 1000, "distance": 1000} | ({"num_others": 8} if name == "lidar" else {})
@@ -220,13 +208,12 @@ def _checked(sensors: Any) -> dict[str, dict[str, int]]:
 
 
 class Expert:
-    """MetaDrive's PPO expert, for its lidar observation. Its actions are those of ``numpy_expert.expert``."""
+    """MetaDrive's PPO expert for the lidar observation, with the actions of ``numpy_expert.expert``."""
 
     def __init__(self) -> None:
         self._layers = _weights()
 
     def __call__(self, seen: Any) -> tuple[float, ...]:
-        """Return the mean of steering and pedal."""
         x = np.array(seen)
         x[[10, 15]] = 1 - x[[10, 15]]  # it was trained with other axes
         (first, one), (second, two), (last, out) = self._layers
@@ -236,7 +223,7 @@ class Expert:
 
 @cache
 def _weights() -> tuple[tuple[Any, Any], ...]:
-    """Return the weights and biases of the expert's layers. MetaDrive itself decompresses them for each decision."""
+    # MetaDrive's own function decompresses the weights for each decision.
     found = find_spec("metadrive")
     assert found is not None, "its world has been made"  # noqa: S101
     file = Path(str(found.origin)).parent / "examples" / "ppo_expert" / "expert_weights.npz"
@@ -248,13 +235,12 @@ def _weights() -> tuple[tuple[Any, Any], ...]:
 
 
 class Idm:
-    """MetaDrive's IDM policy, which reads the vehicle. It wants to drive at 30 km/h and changes lanes."""
+    """MetaDrive's IDM policy, which drives at up to 30 km/h and changes lanes."""
 
     def __init__(self) -> None:
         self._policy: Any = None
 
     def __call__(self, vehicle: Any) -> Any:
-        """Return steering and pedal."""
         if self._policy is None:
             from pytest_pafot.simulators.metadrive_engine import IDMPolicy  # noqa: PLC0415  (as above)
 
@@ -264,22 +250,15 @@ class Idm:
 
 @dataclass(frozen=True)
 class OwnPolicy:
-    """A policy of MetaDrive as a factory: :data:`expert` and :data:`idm`.
-
-    Attributes:
-        make: makes a fresh policy.
-        observation: the one that it needs.
-    """
+    """A policy of MetaDrive as a factory, with the observation that it needs."""
 
     make: Callable[[], Callable[[Any], Any]]
     observation: Observed
 
     def __call__(self) -> Callable[[Any], Any]:
-        """Return a fresh policy."""
         return self.make()
 
     def check_world(self, world: Any) -> None:
-        """Refuse a world with another observation."""
         is_own = isinstance(world, SimulatorWorld) and world.maker is MetaDrive
         stated = world.to_dict()["simulator"] if is_own else {}
         if (stated.get("observation"), stated.get("sensors")) != (self.observation, None):

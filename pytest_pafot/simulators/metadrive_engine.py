@@ -1,4 +1,4 @@
-"""What :mod:`pytest_pafot.simulators.metadrive` changes in MetaDrive. Only with MetaDrive can it be imported."""
+"""Changes of MetaDrive for :mod:`pytest_pafot.simulators.metadrive`. Importing this module requires MetaDrive."""
 
 from __future__ import annotations
 
@@ -21,27 +21,25 @@ from pytest_pafot.support.errors import WorldError, flag
 
 __all__ = ["Env", "IDMPolicy"]
 
+# The distance between the points of the centre line of a lane [m].
 SPACING = 3.0
-"""The distance between the points of the centre line of a lane [m]."""
+# The group of vehicles in Bullet.
 VEHICLES = CollisionGroup.Vehicle.getLowestOnBit()
-"""The group of vehicles in Bullet."""
 
 
 class OrderedLidar(Lidar):  # type: ignore[misc]
-    """A lidar whose objects have an order. MetaDrive's are in sets, in the order of their addresses in memory."""
+    """A lidar whose objects have an order. MetaDrive keeps them in sets, in the order of their addresses in memory."""
 
     def get_surrounding_objects(self, vehicle: Any, radius: int = 50) -> list[Any]:
-        """Return the objects around a vehicle, in the order of their positions."""
         return sorted(super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position))
 
     @staticmethod
     def get_surrounding_vehicles(detected_objects: Sequence[Any]) -> list[Any]:
-        """Return the vehicles among some objects, in the same order."""
         return [each for each in detected_objects if isinstance(each, BaseVehicle)]
 
 
 class Engine(BaseEngine):  # type: ignore[misc]
-    """An engine that downloads no models and textures, which only pictures need."""
+    """An engine that does not download models and textures, which only pictures need."""
 
     @staticmethod
     def try_pull_asset() -> None:
@@ -49,13 +47,11 @@ class Engine(BaseEngine):  # type: ignore[misc]
 
 
 class Env(MetaDriveEnv):  # type: ignore[misc]
-    """An environment without pictures and without traffic of its own, in which nothing is left of an earlier run.
-
-    A process has one engine, so a new environment ends an earlier one of this class.
+    """An environment without pictures and traffic, in which nothing is left of an earlier run.
 
     Args:
-        blocks: the letters of the map.
-        lanes: the number of lanes.
+        blocks: letters of the map.
+        lanes: number of lanes.
         sensors: parts of MetaDrive's ``vehicle_config`` about sensors.
     """
 
@@ -63,7 +59,7 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         if isinstance(get_engine(), Engine):
             close_engine()
         if get_engine() is not None:
-            received = "one that is open"
+            received = "one that is still open"
             fix = f"call `close` of your own MetaDriveEnv, or search in other processes with {flag('workers', 2)}"
             raise WorldError(
                 field="pafot.metadrive", expected="no other environment in this process", received=received, fix=fix
@@ -88,11 +84,11 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
 
     @property
     def is_open(self) -> bool:
-        """True until this or another environment is closed, or made."""
+        """True until this environment is closed, or another one is made."""
         return get_engine() is self._own
 
     def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
-        """Begin anew with the agent at a place [m], with a heading [rad] and a speed [m/s], and return it."""
+        """Start a run with the agent at a position [m], heading [rad] and speed [m/s]."""
         # Not by set_position, because only a new vehicle is told the checkpoints ahead of its place.
         self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (tuple(position), heading)
         self.reset(seed=0)  # 0 is the map; nothing in a run is random
@@ -105,7 +101,7 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         return self.agent
 
     def lines(self) -> list[list[tuple[float, float]]]:
-        """Return the centre line of each lane along the map, from the left [m]. It ends a run."""
+        """Return the centre line of each lane along the map, from the left [m]. This ends a running run."""
         self.reset(seed=0)
         ways = self.agent.navigation.checkpoints
         graph = self.current_map.road_network.graph

@@ -1,4 +1,4 @@
-"""Errors that the user can fix: they state what was expected, what was received, and the way out."""
+"""Errors that the user can fix."""
 
 from __future__ import annotations
 
@@ -15,47 +15,39 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class OutOfTime(BaseException):
-    """The end of a run because the time limit of its search is over; no ``except Exception`` of an ADS catches it."""
+    """The end of a run at the time limit of its search, which a policy does not catch."""
 
 
 class RequestError(ArgumentTypeError):
-    """Something that cannot be done as the user asks, in an option, an argument or a call. The message is for the user.
-
-    argparse prints the message of an error of this type, which a reader of an option raises.
-    """
+    """A request of the user that cannot be met. argparse prints its message."""
 
 
 class FieldError(ValueError):
-    """A value that breaks a rule. Its message is one line that is safe to print, even if a stranger's file is quoted.
-
-    Attributes:
-        field: path of the value, such as ``npcs[0][2].speed``; empty if the value has no path.
-        expected, received: the expected and the actual value, in words; empty if ``text`` is given instead.
-        fix: the way out; empty if it is obvious.
-    """
+    """A value that breaks a rule, with the parts of its message."""
 
     def __init__(
         self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
     ) -> None:
         from pytest_pafot.support.text import visible  # noqa: PLC0415  (most sessions of pytest meet no such error)
 
+        # One line that is safe to print, even if it quotes a file from an untrusted source.
         super().__init__(visible(text or sentence(field, expected, received, fix)))
         self.field, self.expected, self.received, self.fix = field, expected, received, fix
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
-    """Return the message ``field: expected this, received that; fix``, without ``field`` or ``fix`` if it is empty."""
+    """Return the message ``field: expected this, received that; fix``."""
     place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
     return f"{place}expected {expected}, received {received}{way_out}"
 
 
 def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:
-    """Return the error for a policy that cannot drive; its message has all three arguments."""
+    """Return the error for a policy that cannot drive."""
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 
+# As the lower limit of a number, the smallest positive float excludes zero.
 POSITIVE = math.ulp(0.0)
-"""The smallest positive float: used as the lower limit of a number, it excludes zero."""
 
 
 def checked_number(
@@ -67,11 +59,7 @@ def checked_number(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> float:
-    """Return a value as a float if it is a finite number from ``least`` to ``most``; numpy's numbers are accepted, too.
-
-    Raises:
-        FieldError: or the subclass ``error``, if the value is anything else.
-    """
+    """Return a value as a float, or raise ``error`` if it is no finite number from ``least`` to ``most``."""
     number = plain_number(value)
     if number is None or not least <= number <= most:
         raise error(field=field, expected=expected, received=f"{value!r:.100}")
@@ -87,11 +75,7 @@ def checked_whole(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> int:
-    """Return a value as an int if it is a whole number from ``least`` to ``most``.
-
-    Raises:
-        FieldError: or the subclass ``error``, if the value is anything else.
-    """
+    """Return a value as an int, or raise ``error`` if it is no whole number from ``least`` to ``most``."""
     number = plain_whole(value)
     if number is None or not least <= number <= most:
         raise error(field=field, expected=expected, received=f"{value!r:.100}")
@@ -99,7 +83,7 @@ def checked_whole(
 
 
 def plain_number(value: object) -> float | None:
-    """Return a finite number as Python's own int or float, or None for everything else, including booleans."""
+    """Return a finite number as Python's own int or float, or None for any other value."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
     try:
@@ -110,7 +94,7 @@ def plain_number(value: object) -> float | None:
 
 
 def plain_whole(value: object) -> int | None:
-    """Return a whole number as Python's own int, or None for everything else, including booleans."""
+    """Return a whole number as Python's own int, or None for any other value."""
     if isinstance(value, bool) or not hasattr(type(value), "__index__"):
         return None
     try:
@@ -120,23 +104,23 @@ def plain_whole(value: object) -> int | None:
 
 
 class WorldError(FieldError):
-    """A world that cannot be run, or a scenario that does not fit the world."""
+    """A world that cannot be run, or a scenario that does not fit it."""
 
 
 class DriverError(WorldError):
-    """A driver that a world could not let drive in the ego's place."""
+    """A driver that a world could not simulate as the ego."""
 
 
 class AdsFactoryError(TypeError):
-    """An ADS factory does not make an ADS for the world of the search."""
+    """A factory that makes no policy for the world of the search."""
 
 
 class BadAction(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
-    """The ADS returned something that is not a valid action; the message states what was expected."""
+    """An invalid action of a policy."""
 
 
 class CorpusError(FieldError):
-    """A corpus file that cannot be used, with the line (from 1) and the field of the error if they are known."""
+    """A corpus file that cannot be used."""
 
     def __init__(
         self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None
@@ -149,35 +133,33 @@ class CorpusError(FieldError):
 
 # What messages name as a way out: commands, options, packages and pages. A test runs what each of these can make.
 
+# The environment variable with the command `search` that started the pytest session, as it was typed.
 OF_SEARCH = "PYTEST_PAFOT_SEARCH"
-"""The environment variable with the command ``search`` that has started the pytest session, as it was typed."""
 
+# The environment variable with the options of the command `replay` for scenarios that this `search` saves.
 OF_REPLAY = "PYTEST_PAFOT_REPLAY"
-"""The environment variable with the options of the command ``replay`` for what the session of a ``search`` saves."""
 
 
 def command(*words: object) -> str:
-    """Return a command of Python, such as ``python -m pytest_pafot corpus list``, as a shell reads it."""
+    """Return a command such as ``python -m pytest_pafot corpus list`` for a shell."""
     return shlex.join(["python", "-m", *map(str, words)])
 
 
 def flag(name: str, value: object = None) -> str:
-    """Return an option as pytest and the command ``search`` accept it, such as ``--pafot-max-time=5``."""
+    """Return an option of pytest and of the command ``search``, such as ``--pafot-max-time=5``."""
     option = f"--pafot-{name.replace('_', '-')}"
     return option if value is None else shlex.join([f"{option}={value}"])
 
 
 def install(name: str) -> str:
-    """Return the command that installs this package with the libraries of an optional part."""
+    """Return the command that installs an optional part of this package."""
     return f"pip install 'pytest-pafot[{name}]'"
 
 
 def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved: str = "") -> str:
-    """Return the command that runs a part of a session again: pytest with ``words``, and with options.
-
-    The commands ``search`` and ``replay`` leave no test files that pytest could run. So in their sessions it is the
-    command itself, or the command for only one saved scenario, whose id is ``saved``.
-    """
+    """Return the command that runs a part of a session again, or only the scenario with the id ``saved``."""
+    # The commands `search` and `replay` leave no test files that pytest could run. So in their sessions it is the
+    # command itself, or `replay` for one saved scenario.
     if not environ.get(OF_SEARCH):
         return shlex.join([*words, *options])
     if saved and OF_REPLAY in environ:
@@ -188,23 +170,17 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
 
 
 def asserts_run(function: Callable[..., Any]) -> bool:
-    """Tell whether the assertions of a function run. ``python -O`` switches off all that pytest does not rewrite.
-
-    The checks of this package need none.
-    """
+    """Return whether assertions run in a function."""
+    # `python -O` switches off all assertions that pytest does not rewrite. This package needs none.
     known = getattr(function, "__globals__", None) or getattr(type(function).__call__, "__globals__", {})
     return __debug__ or "@pytest_ar" in known or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
 
 
 def check_asserts(holds: Callable[..., Any]) -> None:
-    """Check that a user's function can assert: else every run would pass it.
-
-    Raises:
-        RequestError: if its assertions are off.
-    """
-    if not asserts_run(holds):
+    """Raise a ``RequestError`` if a user's function cannot assert."""
+    if not asserts_run(holds):  # every run would pass it
         name = getattr(holds, "__name__", type(holds).__name__)
         raise RequestError(
             f"{name}: expected a Python that runs assertions, received one with -O or PYTHONOPTIMIZE, in which every "
-            "run passes; leave them out"
+            "run passes. Run without these"
         )

@@ -1,9 +1,4 @@
-"""Files that are written as a whole or not at all, even if other processes read or write them at the same time.
-
-The content is first written to a temporary file in the same folder. The name of the temporary file contains the process
-id, and the file is locked while it is written. So the next writer can remove the files that killed processes left
-behind, and only these. Calls of git are here, too. They change nothing that others see.
-"""
+"""Files that are written completely or not at all, and calls of git."""
 
 from __future__ import annotations
 
@@ -34,19 +29,17 @@ _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
 
 
 def hold(descriptor: int) -> bool:
-    """Lock a new file; return False if a different process deleted it before, because it seemed to be abandoned.
-
-    Forked processes inherit the lock and hold it even after this process has ended.
-    """
+    """Lock a new file, or return False if another process has deleted it."""
+    # Forked processes inherit the lock and hold it even after this process has ended.
     try:
         _lock(descriptor)
     except OSError as error:
-        return error.errno not in _HELD  # this file system has no locks; the process id in the name decides
+        return error.errno not in _HELD  # this file system has no locks, so the process id in the name decides
     return os.fstat(descriptor).st_nlink > 0
 
 
 def is_held(descriptor: int, pid: int) -> bool:
-    """Return whether the process that wrote a file still holds its lock; without file locks, whether it is alive."""
+    """Return whether the process that wrote a file still holds its lock, or, without locks, is alive."""
     try:
         _lock(descriptor)
     except OSError as error:
@@ -55,22 +48,20 @@ def is_held(descriptor: int, pid: int) -> bool:
 
 
 def pid_of(path: Path) -> int:
-    """Return the process id in a file's name, which is its first part or follows a dot and a word; 0 without an id."""
+    """Return the process id in a file's name, or 0."""
+    # It is the first part of the name, or follows a dot and a word.
     digits = re.match(r"(?:\.[a-z]+-)?(\d{1,11})-", path.name, re.ASCII)
     return int(digits[1]) if digits else 0
 
 
 def _is_alive(pid: int) -> bool:
-    """Return whether a process with this id is running; only needed on file systems without locks.
-
-    Windows has no harmless check (``os.kill(pid, 0)`` ends the process there), so every process counts as alive.
-    """
+    # Windows has no harmless check (`os.kill(pid, 0)` ends the process there), so every process counts as alive.
     if sys.platform == "win32" or pid <= 0:
         return pid > 0
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # any other error means that it is a different user's process
+        return not isinstance(error, ProcessLookupError)  # any other error means that it belongs to another user
     return True
 
 
@@ -82,14 +73,15 @@ def _lock(descriptor: int) -> None:
 
 T = TypeVar("T")
 
+# The prefix of temporary files.
 TEMPORARY = ".pafot-"
-"""The prefix of the names of temporary files, which are being written."""
 
+# The advice for each error number. `{}` stands for how to name another folder.
 _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
         errno.ENOSPC: "free some space on the disk, {}",
         errno.EDQUOT: "free some of your quota of the disk, {}",
-        errno.EROFS: "the file system is read-only: mount it so that it can be written, {}",
+        errno.EROFS: "the file system is read-only: mount it with write access, {}",
         errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
         errno.ENOTDIR: "there is a file where a folder should be: rename or delete it, {}",
         errno.EEXIST: "there is a file where a folder should be: rename or delete it, {}",
@@ -98,20 +90,19 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
         errno.EINVAL: "a link or a special file is in its place: delete that, {}",
         errno.ELOOP: "a link in the path points to itself: remove it, {}",
         errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
-        errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
-        errno.EIO: "the disk or the network has failed: check it, {}",
+        errno.ENFILE: "close files that programs on this machine have open, or raise its limit of open files",
+        errno.EIO: "the disk or the network failed: check it, {}",
     }
 )
-"""The advice for each error number; ``{}`` stands for how to name a different folder."""
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file and create its folders. At any time a reader finds either the whole new or the whole old content.
+    """Write a file and create its folders; readers always find the complete old or new content.
 
-    A link is replaced, and what it leads to stays as it is. A stream receives the content, see :func:`is_stream`.
+    A link is replaced. A stream receives the content.
 
     Raises:
-        OSError: if the file cannot be written; no partial file is left behind.
+        OSError: if the file cannot be written; nothing is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
     if is_stream(path):
@@ -121,10 +112,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def append(path: Path, content: str | bytes) -> None:
-    """Add a content to the end of a file, not through a link; or write it into a stream, see :func:`is_stream`.
+    """Append to a file, but not through a link, or write into a stream.
 
     Raises:
-        OSError: if the path is a link or cannot be written. The file is then as long as before, unless it is a stream.
+        OSError: if the path is a link or cannot be written; the file then has its old length.
     """
     rest = memoryview(content.encode() if isinstance(content, str) else content)
     with path.open("ab") if is_stream(path) else open_regular(path, "ab") as file:
@@ -139,42 +130,30 @@ def append(path: Path, content: str | bytes) -> None:
 
 
 def is_stream(path: Path) -> bool:
-    """Return whether a path is a pipe or a character device, also by one of the system's links like ``/dev/stdout``.
-
-    Content is written into it. A file in its place would take it from everybody.
-    """
+    """Return whether a path is a pipe or a character device, or a system link to one like ``/dev/stdout``."""
+    # Content is written into it, since a regular file in its place would take it away from every process.
     folder = os.path.realpath(path.parent)
     is_of_system = folder == "/dev" or re.fullmatch(r"/proc/\d+/fd", folder) is not None
     try:
         mode = path.stat().st_mode if is_of_system else path.lstat().st_mode
-    except (OSError, ValueError):  # If it cannot be looked at, writing it fails as well, or there is no such file.
+    except (OSError, ValueError):  # there is no such file, or it cannot be written either
         return False
     return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or (is_of_system and path.is_symlink())
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
-    """Write a new file as :func:`write_whole` does; return False, without writing, if the path exists already.
-
-    If two processes try at the same time, only one of them writes the file.
-
-    Raises:
-        OSError: if the file cannot be written; no partial file is left behind.
-    """
+    """Write a new file like :func:`write_whole`, or return False without writing if the path exists."""
     return _through_temporary(path, content, _publish)
 
 
 def way_out(error: OSError, elsewhere: str) -> str:
-    """Return advice for a file that cannot be written; ``elsewhere`` says how to name a different folder."""
+    """Return advice for a file that cannot be written; ``elsewhere`` is how to name another folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
 @contextlib.contextmanager
 def written_into(folder: Path) -> Iterator[None]:
-    """Turn an OSError in this context into an error for ``--out``, since the folder cannot be written.
-
-    Raises:
-        RequestError: in place of an OSError.
-    """
+    """Turn an ``OSError`` in this context into a ``RequestError`` for ``--out``."""
     try:
         yield
     except OSError as error:
@@ -187,13 +166,9 @@ def written_into(folder: Path) -> Iterator[None]:
 
 
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
-    """Open a regular file in a binary mode, without following a link or touching a pipe or a device.
-
-    Raises:
-        OSError: if the path is not a regular file, or cannot be opened.
-    """
+    """Open a regular file in a binary mode, or raise an ``OSError`` for a link, pipe or device."""
     with contextlib.suppress(FileNotFoundError):  # some modes create the file
-        _check_regular(path, path.lstat())  # check before opening: opening alone has effects on some devices
+        _check_regular(path, path.lstat())  # before opening, because opening alone has effects on some devices
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
     try:
         _check_regular(path, os.fstat(file.fileno()))  # it may have been replaced in between
@@ -204,9 +179,9 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the temporary files of killed processes from a folder; files that a live process is writing stay."""
+    """Remove the temporary files of killed processes from a folder."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(OSError):  # a leftover does no harm: no code reads files with such a name
+        with contextlib.suppress(OSError):  # a leftover does no harm, since no code reads files with such a name
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
@@ -222,11 +197,13 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _open_in_place(path: str, flags: int) -> int:
-    """Open a file without following a link or waiting for the writer of a pipe; Windows has neither of these flags."""
+    # Without following a link or waiting for the writer of a pipe. Windows has neither of these flags.
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
 def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:
+    # The content goes into a locked temporary file in the same folder, with the process id in its name. So the next
+    # writer can remove what killed processes left behind, and only that.
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_unfinished(path.parent)
     temporary, file = _create(path.parent)
@@ -243,7 +220,6 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
 
 
 def _create(folder: Path) -> tuple[Path, BinaryIO]:
-    """Create a temporary file in a folder, locked to mark that this process is writing it."""
     while True:
         temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
         file = temporary.open("xb")
@@ -254,7 +230,7 @@ def _create(folder: Path) -> tuple[Path, BinaryIO]:
 
 
 def _publish(temporary: Path, path: Path) -> bool:
-    """Give a temporary file its final name; return False if a file with that name exists already."""
+    # A hard link fails if the name exists, so that of two processes only one publishes the file.
     try:
         path.hardlink_to(temporary)
     except FileExistsError:
@@ -271,24 +247,24 @@ def _publish(temporary: Path, path: Path) -> bool:
     return True
 
 
+# Variables that a git hook or alias sets. With them, git would use the index of the user.
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
-"""Variables that a git hook or alias sets. They are removed, since git would use the user's index because of them."""
 
+# With this variable, git fetches nothing, such as missing objects of a partial clone.
 OFFLINE = {"GIT_ALLOW_PROTOCOL": ""}
-"""The variable with which git fetches nothing, such as objects that a partial clone lacks."""
 
+# The start of a file that represents one in Git LFS.
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
-"""The beginning of a file in place of one that Git LFS stores."""
 
 Since = tuple[str, str]
 """The short hash of a commit, and its day."""
 
 
 def git(folder: Path, *arguments: str) -> str:
-    """Run git in a folder and return its output. It fetches nothing, and runs no hook.
+    """Run git in a folder, without hooks or network access, and return its output.
 
     Raises:
-        RequestError: if git fails; the message is git's own.
+        RequestError: if git fails, with git's own message.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
     command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false"]
@@ -302,10 +278,10 @@ def git(folder: Path, *arguments: str) -> str:
             check=False,
         )
     except FileNotFoundError:
-        raise RequestError("expected the program git, received none on the PATH; install it") from None
+        raise RequestError("expected the program git, which was not found on the PATH. Install git") from None
     except ValueError as error:  # a text that no command line can have
         given = next((each for each in (str(folder), *arguments) if not each.isprintable()), str(folder))
-        raise RequestError(f"expected a text for git, received {given!a:.200} ({error}); change it") from None
+        raise RequestError(f"expected a name for git, received {given!a:.200} ({error}). Change it") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
@@ -313,10 +289,8 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
-    """Return the commit that added each file in some folders, as far as git knows it.
-
-    Files that the oldest commit of a shallow clone has are left out, because an earlier commit may have added them.
-    """
+    """Return the commit that added each file in some folders, as far as git knows it."""
+    # An earlier commit than the oldest one of a shallow clone may have added its files, so these are omitted.
     found: dict[Path, Since] = {}
     form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")
     for folder in folders:

@@ -1,4 +1,4 @@
-"""The process that runs: how it ends in order, what tests replace in it, and the versions and cores that it has."""
+"""Signals, exit, replaced functions, versions and cores of this process."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from typing import Any
 
 from pytest_pafot.support import monotonic
 
+# Signals that end a process immediately unless it handles them.
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that end a process without giving it time, unless it handles them."""
+# If Python could not raise an interrupt, it is repeated after this time [s].
 AGAIN_SECONDS = 0.05
-"""The time after which an interrupt that Python could not raise comes again [s]."""
+# After an interrupt, `postponed` lets its context continue for this time unless another one comes, and `exit_soon`
+# third-party threads and exit functions [s].
 PATIENCE = 2.0
-"""The time for which :func:`postponed` lets its context go on after an interrupt, unless there is another, and
-:func:`exit_soon` the threads and exit functions of others [s]."""
 
 
 class Ended(KeyboardInterrupt):
-    """One of :data:`ENDS`, as an interrupt. ``code`` is the exit code that a shell reports for its ``number``."""
+    """One of :data:`ENDS` as an interrupt, with its ``number`` and the exit ``code`` that a shell reports."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"received {signal.Signals(number).name}")
@@ -39,13 +39,12 @@ class Ended(KeyboardInterrupt):
 
 @contextmanager
 def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda interrupt: None) -> Iterator[None]:
-    """Let the first of :data:`ENDS` raise :class:`Ended` in the main thread; further ones have no effect.
+    """Make the first of :data:`ENDS` raise :class:`Ended` in the main thread, and ignore later ones.
 
-    ``note`` receives each interrupt, also one by Ctrl-C, before it is raised, because the user's code may catch it.
-
-    A signal that the user's code handles, or that is ignored as by ``nohup``, is left alone. Python drops what
-    a handler raises while a finalizer or the callback of a weak reference runs; such an interrupt comes again shortly.
+    ``note`` receives each interrupt first, including Ctrl-C, because the user's code may catch it.
     """
+    # Signals that the user's code handles, or that are ignored as by `nohup`, are left alone. Python drops what a
+    # handler raises during a finalizer or the callback of a weak reference, so such an interrupt is repeated shortly.
     owner, ended, told = getpid(), False, sys.unraisablehook
 
     def received(number: int, _: object) -> None:
@@ -83,16 +82,13 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
         if sys.unraisablehook is unraisable:
             sys.unraisablehook = told
         for number, handler in handlers.items():
-            if signal.getsignal(number) is handler:  # The user's code may handle it since.
+            if signal.getsignal(number) is handler:  # the user's code may have replaced it
                 signal.signal(number, before[number])
 
 
 @contextmanager
 def postponed() -> Iterator[None]:
-    """Let an interrupt that comes in this context be raised at its end, so that what it does is not left half done.
-
-    Another interrupt after :data:`PATIENCE` is raised at once, as what the context waits for may never come.
-    """
+    """Raise an interrupt only at the end of this context, so that its work is not left half done."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -101,12 +97,13 @@ def postponed() -> Iterator[None]:
 
     def received(number: int, frame: FrameType | None) -> None:
         handler = before[number]
+        # The context may wait for something that never happens, so a later interrupt is raised immediately.
         if came and monotonic() - came[0][1] > PATIENCE and callable(handler):
             handler(number, frame)
         came.append((number, monotonic()))
 
     mine = [number for number, handler in before.items() if callable(handler) or handler == signal.SIG_DFL]
-    for number in mine:  # those that are ignored, as by ``nohup``, stay so
+    for number in mine:  # ignored signals, as by `nohup`, stay ignored
         signal.signal(number, received)
     try:
         yield
@@ -118,11 +115,9 @@ def postponed() -> Iterator[None]:
 
 
 def _let_forks_end() -> None:
-    """Let a process that Python forks end by :data:`ENDS` as it would without a handler of this module.
-
-    Python drops a signal that has a handler and comes before the fork is complete. ``multiprocessing.Pool``, which ends
-    its processes by SIGTERM, would now and then wait for one forever. So the signal is blocked until then.
-    """
+    # A forked process should end by ENDS as without a handler of this module. But Python drops a signal that has a
+    # handler and arrives before the fork is complete. `multiprocessing.Pool` ends its processes by SIGTERM, and would
+    # sometimes wait for one forever. So the signal is blocked until then.
     masks: dict[int, set[int]] = {}  # by thread
 
     def before() -> None:
@@ -145,26 +140,24 @@ if hasattr(os, "register_at_fork"):
 
 
 def bound_to(parent: int, number: int) -> bool:
-    """Let Linux send this process a signal as soon as its parent has ended, however it ends; return False elsewhere.
-
-    Linux sends it when the *thread* ends that has started this process, so call this only if that was a main thread.
-    """
+    """Make Linux send this process a signal when its parent ends, or return False on other systems."""
+    # Linux sends it when the thread that started this process ends, so the parent must start it in its main thread.
     if sys.platform != "linux" or ctypes.pythonapi.prctl(1, number) != 0:  # PR_SET_PDEATHSIG
         return False
-    if os.getppid() != parent:  # it has ended before that
+    if os.getppid() != parent:  # it ended before that call
         os.kill(getpid(), number)
     return True
 
 
 def exit_soon(code: int) -> None:
-    """Let this process end soon after Python has begun to exit, although threads or exit functions would keep it."""
+    """End this process soon after Python starts to exit, even if threads or exit functions are still running."""
 
     def end() -> None:
         last = threading.Timer(PATIENCE, os._exit, (code,))
         last.daemon = True
         last.start()
         print(end="", flush=True)
-        atexit._run_exitfuncs()  # Python would wait for threads before
+        atexit._run_exitfuncs()  # before Python waits for threads
 
     # Python calls it before it waits for threads; there is no public function for that.
     threading._register_atexit(end)  # type: ignore[attr-defined]
@@ -172,7 +165,7 @@ def exit_soon(code: int) -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore Ctrl-C and :data:`ENDS` in this context, which cleans up; so do the programs that it starts."""
+    """Ignore Ctrl-C and :data:`ENDS` in this context, and in programs that it starts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -184,19 +177,19 @@ def undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+# The file in a temporary folder of the process that waits for the receipt.
 NAME = "receipt"
-"""The name of the file, in a temporary folder of the process that waits for it."""
 
 
 def leave_receipt(folder: str, code: int) -> None:
-    """Say that the command of this process has ended with an exit code."""
+    """Record that the command of this process finished with an exit code."""
     (Path(folder) / NAME).write_text(str(code), encoding="ascii")
 
 
 def taken_receipt(folder: str, left: int) -> int | None:
-    """Return the exit code of the command of a process, and remove its receipt; None if it left none.
+    """Remove the receipt of a process, and return its exit code, or None.
 
-    ``left`` is the exit code of the process. It counts if the command ended well, and the process then did not.
+    If the command ended with 0, the exit code ``left`` of the process counts.
     """
     file = Path(folder) / NAME
     try:
@@ -213,17 +206,17 @@ def ended_with(left: int) -> int:
 
 
 def unfinished(code: int) -> str:
-    """Return the message about a process that has ended without a receipt."""
+    """Return the message about a process that ended without a receipt."""
     received = f"exit code {code} before that"
-    likely = "unless an error above says why, the policy, its factory or its module ends the process, as sys.exit and "
-    likely += "os._exit do: let it raise an error"
+    likely = "Unless an error above explains it, the policy, its factory or its module ended the process, as sys.exit "
+    likely += "and os._exit do. Raise an error instead"
     if code < 0:
         names = {int(number): number.name for number in signal.Signals}
         received = f"an end by {names.get(-code, f'signal {-code}')}"
-        likely = "likely compiled code of the policy crashed: `python -X faulthandler -m pytest_pafot ...` says where"
+        likely = "Did compiled code of the policy crash? `python -X faulthandler -m pytest_pafot ...` shows where"
     if code == -getattr(signal, "SIGKILL", 0):
-        likely = "likely the memory ran out, or somebody ended it: free memory, and run the command again"
-    return f"expected the process that drives to finish the command, received {received}; {likely}"
+        likely = "Did the memory run out, or did someone kill it? Free memory, and run the command again"
+    return f"expected the process with the policy to finish the command, received {received}. {likely}"
 
 
 _NAMES = "builtins io json multiprocessing os os.path pathlib secrets shutil signal subprocess tempfile time"
@@ -236,14 +229,14 @@ _OWN = [
 
 
 class _Replaced:
-    """The replaced functions of this process. They are in their places, unless this package works."""
+    """The functions of this process that tests have replaced."""
 
     def __init__(self) -> None:
         self._back: list[Callable[[], object]] = []  # puts them back, the last first; empty if none is put aside
 
     @contextmanager
     def shown(self, is_shown: bool) -> Iterator[None]:
-        """Put aside in this context what is replaced; or put it back, if it is put aside."""
+        """Restore the original functions in this context, or with ``is_shown`` the replacements."""
         if bool(self._back) != is_shown:
             yield
             return
@@ -275,22 +268,17 @@ def _put(places: Iterable[tuple[Any, str, object]]) -> None:
 
 
 REPLACED = _Replaced()
-"""Those of this process."""
 
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
 RULES = "verdict-rules"
+# The version of the rules in docs/explanation/verdicts.md. It increases with each change of a verdict.
 RULES_VERSION = "3"
-"""The version of the rules of docs/explanation/verdicts.md. It goes up with each change of a verdict."""
 
 
 def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
-    """Return the version of each package by its name, ``unknown`` if it has no installed metadata; and of the rules.
-
-    Args:
-        others: the names of other packages on which a run depends.
-    """
+    """Return the versions of the packages on which a run depends, and of the rules of verdicts."""
     return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
 
 
@@ -303,11 +291,7 @@ def _version_of(package: str) -> str:
 
 
 def cores(root: Path = Path("/")) -> int:
-    """Return the number of cores that this process may use, at least one: by its affinity and its cgroup's quota.
-
-    Args:
-        root: the folder with ``proc`` and ``sys``.
-    """
+    """Return the number of cores that this process may use; ``root`` is the folder with ``proc`` and ``sys``."""
     counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
     for quota, *period in cpu_limits(root):  # [us] of all cores together in each period
         counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; the kernel's default
@@ -315,10 +299,7 @@ def cores(root: Path = Path("/")) -> int:
 
 
 def cpu_limits(root: Path) -> Iterator[list[int]]:
-    """Yield the numbers in ``cpu.max`` of this process's cgroup and of those around it, where there is a limit.
-
-    A container, a job of Slurm or a unit of systemd is a cgroup. Only version 2 is read, which Linux alone has.
-    """
+    """Yield the numbers in ``cpu.max`` of this process's cgroup and its parents, where there is a limit."""
     # Where a container hides its own path, this is its root, and the file is directly in the mounted folder.
     groups = [PurePosixPath()]
     with suppress(OSError):

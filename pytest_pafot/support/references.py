@@ -1,9 +1,4 @@
-"""The user's objects: the names that texts give them, and the source files that define them.
-
-A name is ``module:name``, or ``module:factory:argument`` for a policy. Source files are found without running them: a
-file is parsed for its import statements, also those inside of functions. A module that is imported by a computed name
-is not found, nor is a file that the code reads. Installed packages and the standard library are no files of the user.
-"""
+"""The user's objects, by names such as ``module:name``, and their source files."""
 
 from __future__ import annotations
 
@@ -26,58 +21,44 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.support.text import one_line
 
+# An error lists at most so many names of a module.
 MOST_NAMES = 8
-"""The largest number of a module's names that an error lists."""
 
+# The suffix of a policy that is a planner in SI units, although it drives in an environment.
 PLANNER = "@planner"
-"""The suffix of the name of a policy that is a planner in SI units, although it drives in an environment."""
 
 
 def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]:
-    """Import the factory that a text such as ``module:factory`` or ``module:factory:argument`` refers to.
-
-    The factory of the second is called with the argument, a text. It may have colons itself.
-
-    Raises:
-        ValueError: if the text has another form, or does not name anything that can be called; the caller adds the
-            place to the message. ``what`` describes what was expected.
-    """
+    """Import the factory in a string such as ``module:factory`` or ``module:factory:argument``."""
     module, _, rest = reference.partition(":")
-    name, colon, argument = rest.partition(":")
+    name, colon, argument = rest.partition(":")  # the argument may contain colons
     if not (module and name) or (colon and not argument):
         raise ValueError(f"expected module:factory or module:factory:argument, received {reference!r}")
     factory = referred_to(f"{module}:{name}", what)
     if not callable(factory):
         received = f"{reference!r}, which is of the type {type(factory).__name__}"
-        raise ValueError(f"expected {what}, received {received}; name a function or a class")
+        raise ValueError(f"expected {what}, received {received}. Name a function or a class")
     return functools.partial(factory, argument) if argument else factory
 
 
 def referred_to(reference: str, what: str = "a name") -> Any:
-    """Import the object that a text such as ``module:name`` refers to.
-
-    Raises:
-        ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
-    """
+    """Import the object in a string such as ``module:name``, or raise a ``ValueError``."""
     module_name, _, name = reference.partition(":")
     module = imported(reference)
     if not hasattr(module, name):
         near = difflib.get_close_matches(name, vars(module), n=1)
         own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
-        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
-        hint = hint or (f"; it has {', '.join(own[:MOST_NAMES])}" if own else "; it has no such name")
+        hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
+        hint = hint or (f". The module has {', '.join(own[:MOST_NAMES])}" if own else ". The module has no such name")
         file = getattr(module, "__file__", None) or "built into Python"
-        hint += "" if Path(file).is_relative_to(Path.cwd()) else f"; this module is {file}"  # one of the same name
+        # It may be another module of the same name.
+        hint += "" if Path(file).is_relative_to(Path.cwd()) else f"{'' if near else '.'} This module is {file}"
         raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
     return getattr(module, name)
 
 
 def imported(reference: str) -> ModuleType:
-    """Import the module that a text such as ``module:name`` names.
-
-    Raises:
-        ValueError: if there is no such module, or it raises; the caller adds the place to the message.
-    """
+    """Import the module in a string such as ``module:name``, or raise a ``ValueError``."""
     module_name, _, name = reference.partition(":")
     try:
         if not module_name or module_name.startswith("."):  # which would be relative to nothing
@@ -86,19 +67,19 @@ def imported(reference: str) -> ModuleType:
     except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
         # A module that lacks another one raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
-        way_out = "run where it is, or put its folder on the path (pytest: `pythonpath = .`)"
+        way_out = "Run in its folder, or add that folder to the path (in pytest's settings: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
         if path != module_name and not path.startswith("."):  # else it is no path, or not below this folder
-            way_out = f"give {path}:{name}"
+            way_out = f"Write {path}:{name}"
         received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
-        way_out = way_out if is_missing else "correct it"
+        way_out = way_out if is_missing else "Correct it"
         raise ValueError(
-            f"expected a module that can be imported, received {reference!r}{received}; {way_out}"
+            f"expected a module that can be imported, received {reference!r}{received}. {way_out}"
         ) from error
 
 
 def name_of(factory: Callable[..., Any]) -> str:
-    """Return ``module:name`` of a function or a class that a text can refer to; empty for any other factory."""
+    """Return ``module:name`` of a function or class if it can be imported by it, or an empty string."""
     name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
     try:
         return name if referred_to(name) is factory else ""
@@ -107,10 +88,8 @@ def name_of(factory: Callable[..., Any]) -> str:
 
 
 def policy_name(factory: Any) -> str:
-    """Return ``module:name`` of the class or function that makes a policy, the same in each process, for readers.
-
-    Of a lambda, it is the one class or function that the lambda uses, if it uses no other.
-    """
+    """Return ``module:name`` of the class or function that makes a policy, for readers."""
+    # A lambda has the name of the one class or function that it uses, if it uses no other.
     made = inspect.unwrap(factory)
     while isinstance(made, functools.partial):
         made = made.func
@@ -123,9 +102,9 @@ def policy_name(factory: Any) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Describe an exception of the user's code in one line: its class, its message and its place."""
-    # The line of this package that called the user's code, or refused a value, is not where to look.
-    # Nor is code that is in no file, such as the `__init__` of a dataclass.
+    """Describe an exception of the user's code in one line: class, message and position."""
+    # Skip lines of this package, which only called the user's code or rejected a value, and code without a file, such
+    # as the `__init__` of a dataclass.
     here = f"{Path(__file__).parents[1]}{os.sep}", "<"
     frames = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith(here)]
     text = one_line("".join(traceback.format_exception_only(error)))
@@ -133,8 +112,8 @@ def described(error: BaseException) -> str:
     return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
 
 
+# Folders with installed packages.
 INSTALLED = ("site-packages", "dist-packages")
-"""The names of folders with installed packages, of which no file is the user's."""
 
 
 class _Source(NamedTuple):
@@ -143,10 +122,9 @@ class _Source(NamedTuple):
 
 
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:
-    """Return the user's source files that define some objects, and all files that these import.
+    """Return the source files that define some objects of the user, and those of their imports.
 
-    Each path has the name of its module and the hash of its content. An object is a module, a class, a function, or
-    anything that can be called; other objects have no source.
+    Each path has the name of its module and the hash of its content.
     """
     found: dict[Path, tuple[str, str]] = {}
     left = [source for value in values for source in _defining(value, set())]
@@ -157,7 +135,7 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
             continue
         try:
             content = file.read_bytes()
-        except OSError as error:  # as for a module in an archive, or a file that was removed after its import
+        except OSError as error:  # such as a module in an archive, or a file that was removed after its import
             found[file] = source.name, f"unreadable: {error.strerror}"
             continue
         found[file] = source.name, f"sha256:{hashlib.sha256(content).hexdigest()[:16]}"
@@ -166,7 +144,7 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
 
 
 def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
-    """Yield the sources of an object, and of the callables that it holds, such as the policy behind a wrapper."""
+    # Also the callables that the object holds, such as the policy behind a wrapper.
     if id(value) in seen:
         return
     seen.add(id(value))
@@ -176,8 +154,8 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
         for cls in value.__mro__:
             yield from _of_module(cls.__module__)
     elif isinstance(value, FunctionType):
-        file = value.__code__.co_filename  # not its module's, because two modules may have one name, as conftest
-        if not file.startswith("<"):  # as of a function that was typed in, or made by exec
+        file = value.__code__.co_filename  # not of its module: two modules may have the same name, such as conftest
+        if not file.startswith("<"):  # such as a function that was typed in, or made by exec
             yield _Source(value.__module__ or "", Path(file))
     for each in _held(value):
         parts = each.values() if isinstance(each, dict) else each if isinstance(each, (list, tuple)) else (each,)
@@ -187,7 +165,6 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
 
 
 def _held(value: object) -> list[object]:
-    """Return what a callable holds: single objects, and lists, tuples and dictionaries of objects."""
     if isinstance(value, (ModuleType, type)):
         return []
     if isinstance(value, FunctionType):
@@ -209,8 +186,7 @@ def _is_filled(cell: object) -> bool:
 
 
 def _of_module(name: str) -> Iterator[_Source]:
-    """Yield the source of a module and those of the packages around it, whose code runs when it is imported."""
-    parts = name.split(".")
+    parts = name.split(".")  # the code of the packages around a module runs when it is imported
     for count in range(1, len(parts) + 1):
         file = _file_of(".".join(parts[:count]))
         if file is not None:
@@ -218,7 +194,7 @@ def _of_module(name: str) -> Iterator[_Source]:
 
 
 def _file_of(name: str) -> Path | None:
-    """Find the file of a module without importing anything."""
+    # Nothing is imported here.
     module = sys.modules.get(name)
     if module is not None:
         file = getattr(module, "__file__", None)
@@ -226,7 +202,7 @@ def _file_of(name: str) -> Path | None:
     package, _, _ = name.rpartition(".")
     try:
         if not package:
-            spec = importlib.util.find_spec(name)  # asks all finders, also those of packages installed to be edited
+            spec = importlib.util.find_spec(name)  # by all finders, including those of editable installs
         else:
             holder = sys.modules.get(package)
             spec = PathFinder.find_spec(name, getattr(holder, "__path__", None) or _folders_of(package))
@@ -236,14 +212,12 @@ def _file_of(name: str) -> Path | None:
 
 
 def _folders_of(package: str) -> list[str]:
-    """Return the folders in which the modules of a package that is not imported are."""
     parent, _, _ = package.rpartition(".")
     spec = PathFinder.find_spec(package, _folders_of(parent)) if parent else importlib.util.find_spec(package)
     return [] if spec is None else list(spec.submodule_search_locations or [])
 
 
 def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
-    """Yield the sources of all modules that a file imports; nothing for a file that is not Python."""
     if source.file.suffix != ".py":
         return
     try:
@@ -269,7 +243,7 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
 
 
 def is_users(file: Path) -> bool:
-    """Return whether a file is the user's, and not of an installed package, the standard library or this package."""
+    """Return whether a file belongs to the user, not to an installed package or this one."""
     return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, _library_folders()))
 
 

@@ -1,4 +1,4 @@
-"""Texts that are safe to print, in Markdown and HTML, too, nouns that agree with their number, tables, and ``repr``."""
+"""Strings that are safe to print, even in Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -15,33 +15,30 @@ from datetime import date
 from types import MappingProxyType
 from typing import Any
 
+# The start of a command to a CI runner. Patterns are compiled when they are used, since most sessions use none.
 _COMMAND = r"(?<!\S)::|##(?=\w*\[)"  # compiled when it is used, as all patterns here: most sessions use none
-"""The beginnings of commands to CI runners: ``::`` at the start of a line or word, and ``##[``, ``##vso[`` anywhere."""
 
 
 def visible(text: str) -> str:
-    r"""Return a text on one line that is safe to print, whoever wrote it: all that acts as a command is escaped.
-
-    Every character that does not print is escaped, such as ``\n``, ``\x1b`` and ``\u202e``, which reverses the text
-    after it, and so are the beginnings of commands to CI runners. A second application changes nothing.
-    """
+    """Return a text on one line with everything escaped that does not print or is a command to a CI runner."""
+    # For example \n, \x1b, and \u202e, which reverses the text after it. A second application changes nothing.
     if not text.isprintable():
         text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
     return re.sub(_COMMAND, lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
 
 
 def visible_lines(text: str) -> str:
-    """Return a text that is safe to print, see :func:`visible`, in which line breaks and tabs are not escaped."""
+    """Escape a text as :func:`visible` does, but keep line breaks and tabs."""
     return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
 
 
 def ascii_text(text: str) -> str:
-    """Return a text on one line that any terminal and log can print; see :func:`visible`."""
+    """Escape a text for any terminal or log, on one line."""
     return visible(text).encode("ascii", "backslashreplace").decode("ascii")
 
 
 def shown(value: Any) -> str:
-    """Return a value's ``repr`` for an error message, cut to one line; if the ``repr`` raises, name its class."""
+    """Return a value's ``repr`` in one line for an error message, even if the ``repr`` raises."""
     try:
         return one_line(repr(value))
     except Exception as error:  # noqa: BLE001  (the user's code may raise anything)
@@ -49,18 +46,18 @@ def shown(value: Any) -> str:
 
 
 def one_line(text: str) -> str:
-    """Join a text to one line and cut it to 120 characters."""
+    """Join a text to one line of at most 120 characters."""
     line = " ".join(text.split())
     return line if len(line) <= 120 else f"{line[:117]}..."
 
 
 def quiet_json(text: str) -> str:
-    r"""Return equal JSON in which each ``##``, which can start a command to CI runners, is written as ``#\u0023``."""
+    """Return equivalent JSON without ``##``, which can start a command in CI runners."""
     return text.replace("##", r"#\u0023")
 
 
 def day_of(text: str) -> date | None:
-    """Return the date that a text such as ``2027-01-31`` names; None for any other text."""
+    """Return the date in a string such as ``2027-01-31``, or None."""
     try:
         day = date.fromisoformat(text)
     except ValueError:
@@ -69,7 +66,7 @@ def day_of(text: str) -> date | None:
 
 
 def capitalised(text: str) -> str:
-    """Return a text with its first letter in upper case and all others as they are."""
+    """Return a text with its first letter in upper case."""
     return text[:1].upper() + text[1:]
 
 
@@ -79,18 +76,18 @@ def plural(count: int, noun: str) -> str:
 
 
 def listed(texts: Sequence[str]) -> str:
-    """Return texts as one, such as ``a, b and c``; empty if there are none."""
+    """Return texts as one, such as ``a, b and c``."""
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def meant(name: object, known: Iterable[str]) -> str:
-    """Return a hint at the name that is most similar, ``; did you mean 'gap'?``; empty if none is."""
+    """Return a hint such as ``; did you mean 'gap'?``, or an empty string."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as CSV with a header: None is an empty cell, and numbers are exact, as Python writes them."""
+    """Format rows as CSV with a header; None is an empty cell, and numbers are exact."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
@@ -99,7 +96,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as a Markdown table with a header. Cells may contain Markdown; a ``|`` in a cell is escaped."""
+    """Format rows as a Markdown table with a header; cells may contain Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
     texts = ([visible(str(cell)).replace("|", r"\|") for cell in cells] for cells in lines)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in texts)
@@ -107,23 +104,20 @@ def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> 
 
 # Wrapping lines between words to the width of the terminal.
 
+# The prefix of the lines of a failure's message, as pytest writes it.
 MARKER = "E   "
-"""The prefix of each line of a failure's message, as pytest writes it."""
 
 _GLUED = r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)"
 _GLUE = "\N{NO-BREAK SPACE}"
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
-    """Wrap lines to a width [characters]; the lines of a failure's message keep their prefix."""
+    """Wrap lines to a width [characters]."""
     return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
-    """Wrap a line between words, but not between a number and its unit, or between NPC and its number.
-
-    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``.
-    """
+    """Wrap a line between words, but not within ``3 m/s`` or ``NPC 1``."""
     line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
@@ -133,12 +127,12 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text.strip()))]
 
 
+# So many differences are described.
 MAX_TOLD = 3
-"""The number of differences that are described."""
 
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
-    """Describe the first differences between data of a file and of this session, and count the others."""
+    """Describe the first differences between a file's data and this session's."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
     differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
     told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
@@ -146,7 +140,6 @@ def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any])
 
 
 def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
-    """Yield every value of nested mappings with its dotted path."""
     if not isinstance(data, Mapping) or not data:
         yield place, data
         return
@@ -158,26 +151,26 @@ def _shown(leaves: Mapping[str, Any], key: str) -> str:
     return f"{leaves[key]!r:.60}" if key in leaves else "missing"
 
 
+# A longer text of a user is cut [characters].
 MAX_TEXT = 300
-"""The largest number of characters of a user's text. A longer text is cut."""
 
 _MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
 _ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
 _LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
 _ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
+# GitHub turns these into mentions, issues or emojis even if they are escaped, unless a zero-width space follows.
 _REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
-"""Text that GitHub turns into a mention, an issue or an emoji, even escaped, unless a zero-width space follows it."""
 
 
 def plain(text: str) -> str:
-    """Escape a text on one line so that nothing in it is markup, a link or HTML."""
+    """Escape a text for Markdown, on one line."""
     line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
     line = "".join(_ENTITIES.get(character, character) for character in line)
     return _REFERENCE.sub(r"\g<0>&#8203;", line)
 
 
 def code(text: str) -> str:
-    """Return a text as Markdown code, between fences of more backticks than the text has in a row."""
+    """Return a text as Markdown code."""
     line = _one_line(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
@@ -190,7 +183,7 @@ def _one_line(text: str) -> str:
 
 
 def json_in_script(plain: str) -> str:
-    """Return equal JSON that is safe inside a ``<script>`` element: nothing in it ends the element."""
+    """Return equal JSON that is safe inside a ``<script>`` element."""
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
@@ -200,11 +193,7 @@ def content_hash(content: str) -> str:
 
 
 class Pasteable:
-    """A dataclass whose ``repr`` is the expression that makes it, without the arguments that have their defaults.
-
-    A failing example of hypothesis can so be pasted into a test below ``from pytest_pafot import *``. Declare such a
-    dataclass with ``repr=False``.
-    """
+    """A dataclass with a ``repr`` that can be pasted into a test."""
 
     __slots__ = ()
 
@@ -219,5 +208,4 @@ class Pasteable:
         return f"{type(self).__name__}({', '.join(given)})"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Print the ``repr``; hypothesis would print every field, or how its strategies made the value."""
         printer.text(repr(self))

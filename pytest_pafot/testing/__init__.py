@@ -1,12 +1,8 @@
-"""A check that a user's simulator does what a search expects of it, for use in the user's tests.
+"""A check of a user's simulator, for use in the user's tests.
 
-In an experiment the simulator moves some vehicles with known controls, and their motion is compared with what the
-package's own model does with the same controls. If it does not fit, the same experiments are made with other statements
-of units and axes, and with other controls. If all fits with one of them, it is the cause.
-
-The tolerances are for other models of a vehicle: with a distance of its own between the axles, with drag, with noise
-that follows from the seed, or calculated in another way or with single precision. Controls may take effect late or in
-part, as in a drivetrain. A warning says so.
+In each experiment, the simulator moves vehicles with known controls, and the package's own model predicts their motion.
+If they disagree, the experiments are repeated with other statements of units, axes and controls. A statement with which
+everything agrees is the cause.
 """
 
 from __future__ import annotations
@@ -39,21 +35,22 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.plausible import named
 
+# Durations of the experiments; the time at which vehicles that have stopped drive on in the last one; the longest
+# random scenario [s]. The proportion of an experiment after which a lagging drivetrain obeys. The delay from which
+# controls take effect late [s].
 COAST, GAS, STAND, STOP, LONGEST, SETTLED, LATE = 1.5, 2.0, 6.0, 9.0, 20.0, 0.6, 0.1
-"""How long the experiments last, and when vehicles that stopped drive on in the last one [s]; how long a random
-scenario lasts at most in a simulator [s]; the share of an experiment after which a drivetrain with a lag does as it is
-asked; the delay from which controls take effect late [s]."""
+# The motion of a vehicle as a multiple of the requested motion: at least, at least unless in part, and at most. A model
+# may have another distance between its axles, drag or noise.
 DRIVEN, OBEYED = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.2, 0.4, 2.45)}
-"""What a vehicle does, as a multiple of what it is asked to do: at least, at least if not in part, and at most."""
+# The largest change of speed without acceleration [m/s^2], of heading or direction without steering [rad], and angle
+# between heading and motion in a turn: a proportion of the turn, and the effect of rear wheels [rad]. How far behind
+# the centre of its box a vehicle turns, as a proportion of its length: at least and at most. The largest jump in a tick
+# [m], speed of a stationary vehicle [m/s], and effect of other vehicles on the ego [m, m/s].
 DRAG, STEADY, SLIP, CENTRE, JUMP, STANDS, AWAY = 0.8, 0.05, (0.3, 0.06), (0.12, 0.7), 0.5, 0.7, 0.5
-"""The largest change of speed without acceleration [m/s^2], of heading or direction without steering [rad], and angle
-between heading and motion in a turn: a share of the turn, and what wheels at the rear do [rad]. How far behind the
-centre of its box a vehicle turns, as a share of its length: at least and at most. The largest jump in a tick [m], speed
-of a vehicle that stands [m/s], and effect of others on the ego [m, m/s]."""
+# Usual units of speed [m/s] and of length [m].
 UNITS = {"km/h": 1 / 3.6, "mph": 0.44704, "feet": 0.3048}
-"""Usual units of speed [m/s] and of length [m]."""
+# All possible statements of a simulator about its axes.
 AXES = {"degrees": (True, False), "y_is_left": (True, False), "headings": HEADINGS, "reference": get_args(Reference)}
-"""What a simulator may state of its axes."""
 
 
 def check_world(
@@ -61,38 +58,38 @@ def check_world(
 ) -> None:
     """Check that a simulator does what a search expects, and that runs repeat to the last bit.
 
-    Experiments with vehicles of each kind in all lanes find out whether they start where they are asked to, drive where
-    they head and as fast as they state, obey their controls and nothing else, stop, and drive on. Then random
-    scenarios of a search are driven twice each. In other worlds of this package, only this part is done.
+    In worlds other than a :class:`pytest_pafot.SimulatorWorld`, only random scenarios are run, twice each.
 
     Args:
-        world: the world, such as ``pafot.SimulatorWorld(MySimulator)``.
-        seed: the seed of the scenarios and of the simulator.
-        runs: the number of random scenarios.
-        ads: the factory of a policy that drives in the random scenarios. By default, a reference driver drives.
+        world: world, such as ``pafot.SimulatorWorld(MySimulator)``.
+        seed: seed of the scenarios and of the simulator.
+        runs: number of random scenarios.
+        ads: factory of the policy in the random scenarios. By default, a reference driver drives.
         space: properties of the scenarios, such as ``npcs`` and ``ego_lane``, as in :func:`pytest_pafot.search`.
 
     Raises:
-        AssertionError: if something is wrong. It says what was expected, what came, and the attribute to set.
-        WorldError: if the world is none of this package, or cannot be used.
+        AssertionError: if the simulator is wrong. The message names the attribute to set, if one explains everything.
+        WorldError: if the world is not one of this package, or cannot be used.
 
     Warns:
-        RuntimeWarning: for what is allowed, and may surprise: controls that take effect late or in part.
+        RuntimeWarning: if controls take effect late or in part, which is allowed.
     """
     checked_world(world)
+    # First the experiments, only with a user's simulator. Its random runs are short, because long ones show no more.
     if isinstance(world, SimulatorWorld):
         for note in _Bench(world, seed).check():
             warnings.warn(f"check_world: {note}", RuntimeWarning, stacklevel=2)
         world = replace(world, duration=min(world.duration, LONGEST))
+    # Then random scenarios, with vehicles of all types that can follow the road.
     given: dict[str, Any] = {"vehicles": tuple(filter(world.can_drive, READY.values())), **space}
     within, rng = world.space({**drawn_space(world, given), **given}), rng_of(seed)
-    done = [(each, _driven(world, each, ads)) for each in (sample(within, rng) for _ in range(runs))]
+    done = [(each, _run_scenario(world, each, ads)) for each in (sample(within, rng) for _ in range(runs))]
     for scenario, trace in done[::-1]:  # in another order than before
-        difference = first_difference(trace, _driven(world, scenario, ads))
+        difference = first_difference(trace, _run_scenario(world, scenario, ads))
         _promise(not difference, "the same scenario gives the same run, to the last bit", difference)
 
 
-def _driven(world: BaseWorld, scenario: Scenario, ads: AdsFactory | None) -> Trace:
+def _run_scenario(world: BaseWorld, scenario: Scenario, ads: AdsFactory | None) -> Trace:
     drive, given = (world.rollout_reference, CAREFUL) if ads is None else (world.rollout, ads)
     with _without_error("a random scenario can be driven"):
         trace: Trace = GENERATORS.run(drive, scenario, cast("Any", given))
@@ -115,10 +112,10 @@ def _without_error(promise: str) -> Iterator[None]:
 
 
 class _Run(NamedTuple):
-    """One experiment in SI units, with (x, y, heading, speed) of each vehicle.
+    """One experiment in SI units.
 
-    It has all states [ticks + 1, vehicles, 4]; the start that was asked for and then what the package's own model makes
-    of each tick, in the same shape; the vehicles, and what was sent.
+    ``states`` and ``model`` contain (x, y, heading, speed), in shape [ticks + 1, vehicles, 4]. ``model`` is the
+    requested start, and then the prediction of the package's own model for each tick.
     """
 
     states: FloatArray
@@ -129,21 +126,23 @@ class _Run(NamedTuple):
     sent: list[list[Control]]
 
     def name(self, number: int) -> str:
-        """Return the name of a vehicle with its kind and its lane, which may be what matters."""
+        # The kind and the lane may be what matters.
         return f"{named(number)} ({self.given[number].kind}, lane {self.given[number].lane})"
 
     def steps(self, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return for each tick how far a vehicle drove, how far its speeds say [m], and motion less heading [rad]."""
+        # For each tick: the distance, the distance by the stated speeds [m], and the direction of motion minus the
+        # heading [rad].
         rows = self.states[:, number]
+        # A vehicle moves in the direction of its heading halfway through the tick.
         moved, heading = np.diff(rows[:, :2], axis=0), (rows[1:, 2] + rows[:-1, 2]) / 2
         course = (np.arctan2(moved[:, 1], moved[:, 0]) - heading + np.pi) % (2 * np.pi) - np.pi
         return np.hypot(*moved.T), np.abs(rows[1:, 3] + rows[:-1, 3]) / 2 * self.dt, course
 
 
 class _Bench:
-    """The experiments with the simulator of a world. Statements in ``other`` replace those of the simulator.
+    """The experiments with the simulator of a world. ``other`` statements replace those of the simulator.
 
-    A promise is whether something is as expected, what was expected, and what came instead.
+    A promise is a tuple: whether it is kept, what was expected, and what was received.
     """
 
     def __init__(self, world: SimulatorWorld, seed: int) -> None:
@@ -156,10 +155,7 @@ class _Bench:
         self.mid: int = self.lanes // 2 if self.is_plain else self.said.start_lane
 
     def check(self) -> list[str]:
-        """Make all experiments, and return notes.
-
-        The first promise that is broken is an error, with its cause if another statement explains all.
-        """
+        # The first broken promise is an error, with its cause if another statement explains everything.
         try:
             for is_kept, promise, received in self.promises():
                 _promise(is_kept, promise, received if is_kept or ";" in received else f"{received}{self.cause()}")
@@ -169,20 +165,21 @@ class _Bench:
             self.world.simulators.give(self.real, is_sound=False)
 
     def spots(self, speed: float) -> list[Any]:
-        """Return the ego and six NPCs of all kinds in all lanes, far from each other, at a speed [m/s].
-
-        Each has its lane, its place along the lane from the ego's [m], its speed and its kind.
-        """
+        # The ego and six NPCs of all kinds in all lanes, far from each other. Each has a lane, a position along the
+        # lane from the ego's [m], a speed [m/s] and a kind.
+        # NPCs take the lanes in turn, starting next to the ego's lane.
         kinds = [each for each in READY.values() if self.world.can_drive(each)]
         places = enumerate((40.0, -40.0, 80.0, -80.0, 120.0, -120.0))
         npcs = [((self.mid + 1 + n) % self.lanes, ahead, speed, kinds[n % len(kinds)]) for n, ahead in places]
         return [(self.mid, 0.0, speed, self.world.ego), *npcs]
 
     def crowd(self) -> list[Any]:
-        """Return an ego close to a slower NPC and ahead of a faster one, and NPCs beside it that pass."""
+        # The ego is close to a slower NPC and ahead of a faster one. The other NPCs pass it.
         steady, closing = min(16.0, 0.6 * self.top), min(9.0, 0.3 * self.top)
         others, spots = [n for n in range(self.lanes) if n != self.mid] or [self.mid], []
         for n, (*_, kind) in enumerate(self.spots(0.0)):
+            # Without control, the first two NPCs come as close as 1.5 m to the ego, and would change its motion if the
+            # simulator reacted to other vehicles.
             apart = (self.world.ego.length + kind.length) / 2 + 1.5 + COAST * closing
             beside = (80.0 if others == [self.mid] else -8.0) + 45.0 * (n // len(others))
             side = (0, 1, -1)[n] if n < 3 else 0
@@ -191,22 +188,24 @@ class _Bench:
         return spots
 
     def tell(self, method: str, given: Sequence[Any], *more: Any) -> FloatArray:
-        """Call a method with a value for each vehicle; return what the simulator then states, shape [vehicles, 4]."""
-        with _without_error(f"{method} and states accept vehicles of each kind"):
+        # Returns what the simulator then states, in shape [vehicles, 4].
+        with _without_error(f"{method} and states accept vehicles of all types"):
             getattr(self.real, method)(copy := list(given), *more)
             rows: FloatArray = np.array(self.real.states(), dtype=np.float64)
-        _promise(copy == list(given), f"{method} leaves the list that it is given as it is", copy)
-        promise = f"states() has finite numbers in shape ({len(given)}, 4), a row for each vehicle"
+        _promise(copy == list(given), f"{method} does not change the list that it receives", copy)
+        promise = f"states() returns finite numbers of shape ({len(given)}, 4), one row for each vehicle"
         _promise(rows.shape == (len(given), 4) and np.isfinite(rows).all(), promise, f"{rows.tolist()!r:.200}")
         return rows
 
     def drive(self, spots: Sequence[Any], seconds: float, control: Callable[..., Any], **other: Any) -> _Run:
-        """Let the simulator move vehicles by controls: acceleration and steering by number, time and vehicle."""
+        # `control` returns acceleration and steering by number, time and vehicle.
+        # `frame` converts as if the simulator had made the other statements.
         stated = {name: getattr(self.said, name) for name in (*AXES, "metres", "metres_per_second")} | other
         axle = (self.said.rear_axle_offset or 1.4) * (stated["reference"] == "rear axle")
         frame = Frame(SimpleNamespace(**stated, rear_axle_offset=axle))
         dt = other.get("dt", 1 / other.get("hz", self.said.hz))
         gas, wheel = other.get("acceleration", 1.0) / frame.speed, other.get("steering", 1.0) * frame.turn / frame.angle
+        # The vehicles at their starts.
         bodies, given = list[Any](), list[Vehicle]()
         for lane, ahead, speed, kind in spots:
             start, has_room = self.place(frame, lane, ahead)
@@ -215,6 +214,7 @@ class _Bench:
                 body.place(*start, speed)
                 sizes = body.length / frame.metres, body.width / frame.metres
                 given.append(Vehicle(*frame.stated(body), *sizes, lane, kind.name))
+        # In each tick, the model starts from the state that the simulator returned, so that errors do not add up.
         rows, model, sent, read = [], [], [], self.tell("start", given, self.seed)
         for tick in range(round(seconds / dt) + 1):
             if tick:
@@ -230,22 +230,25 @@ class _Bench:
         return _Run(np.array(rows), np.array(model), dt, bodies, given, sent)
 
     def place(self, frame: Frame, lane: int, ahead: float) -> tuple[tuple[float, float, float], bool]:
-        """Return x, y and heading of a place in a run, and whether the road has it."""
+        # Returns x, y and heading in a run, and whether the road has this position.
         real, lanes = self.said, self.said.lanes
         if self.is_plain:
+            # Straight parallel lanes have lines like those of other roads.
             width, end = (real.lane_width or 4.0 / frame.metres), (real.length or 1e6)
             lanes = [[(0.0, frame.side * n * width), (end, frame.side * n * width)] for n in range(lanes)]
         line = np.array([frame.point(x, y) for x, y in lanes[lane]])
         ends = np.cumsum(np.hypot(*(steps := np.diff(line, axis=0)).T))
+        # Where a run starts too: at the stated position, or with enough road behind the ego.
         along = ahead + (real.start_at * frame.metres if real.start_at else min(150.0, ends[-1] / 3))
         at = min(int(np.searchsorted(ends, along)), len(steps) - 1)
         x, y = line[at + 1] + steps[at] * (along - ends[at]) / np.hypot(*steps[at])
         return (float(x), float(y), math.atan2(steps[at, 1], steps[at, 0])), 10.0 < along < ends[-1] - 60.0
 
     def promises(self, **other: Any) -> Iterator[tuple[Any, str, str]]:
-        """Yield what the experiments show, with other statements."""
         self.notes, fast, slow = {}, max(self.top - 4.0, self.top / 2), min(10.0, self.top / 2)
 
+        # Every vehicle gets another acceleration or steering angle. So a control that moves another vehicle shows. With
+        # `side`, half of the vehicles brake or turn to the other side.
         def gas(number: int, *_: Any, side: int) -> tuple[float, float]:
             return 2.0 - 0.1 * number if (-1) ** number == side else (0.06 * number - 1.0) * min(3.0, 0.4 * fast), 0.0
 
@@ -256,103 +259,119 @@ class _Bench:
         def stop(_: int, time: float, body: Any) -> tuple[float, float]:
             return max(min(6.0 * (time >= STAND) - body.speed, 2.0), -4.0), 0.0
 
+        # Experiment 1: without controls, near other vehicles and alone.
         crowd = self.crowd()
         run, alone = (self.drive(each, COAST, lambda *_: (0.0, 0.0), **other) for each in (crowd, crowd[:1]))
         yield from self.moves(run, is_steady=True)
         far, ends = np.abs(run.states - alone.states)[-1, 0, [0, 1, 3]].max(), (alone.states[-1, 0], run.states[-1, 0])
         received = " and ".join(f"x = {x:.1f} m, y = {y:.1f} m, {v:.1f} m/s" for x, y, _, v in ends)
-        yield far <= AWAY, "the ego moves by its own controls, alone and with others near", received
+        yield far <= AWAY, "the ego moves in the same way alone and near other vehicles", received
+        # Experiments 2 to 5: accelerate and brake, and turn to both sides.
         for name, control, speed, seconds in (("acceleration", gas, fast, GAS), ("steering", turn, slow, COAST)):
             for side in (1, -1):
                 run = self.drive(self.spots(speed), seconds, partial(control, side=side), **other)
                 yield from self.moves(run)
                 yield from self.obeys(run, name)
         yield from self.turns(run, other.get("reference", self.said.reference))
+        # Experiment 6: stop, wait, and drive on.
         run = self.drive(self.spots(min(8.0, self.top)), STOP, stop, **other)
         for number, speeds in enumerate(run.states[..., 3].T):
             stood, last = speeds[round(STAND / run.dt)], speeds[-1]
-            received = f"{stood:.1f} m/s after {STAND:g} s and {last:.1f} m/s after {STOP:g} s by {run.name(number)}"
-            yield abs(stood) <= STANDS and last > 1.5, "a vehicle stops, stands and drives on by its control", received
+            received = f"{stood:.1f} m/s after {STAND:g} s and {last:.1f} m/s after {STOP:g} s for {run.name(number)}"
+            yield abs(stood) <= STANDS and last > 1.5, "a vehicle stops, waits and drives on by its control", received
 
     def moves(self, run: _Run, *, is_steady: bool = False) -> Iterator[tuple[Any, str, str]]:
-        """Yield that vehicles start where they are asked to, and drive where they head, as fast as they state."""
+        # Promises that vehicles start where they are asked to, and drive where they head, as fast as they state.
+        # The start.
         off = np.abs(run.states[0] - run.model[0]) > [most for _, most in STARTS]
         first = int(off.any(axis=1).argmax())
         asked, got = (", ".join(f"{each:.2f}" for each in rows[0, first]) for rows in (run.model, run.states))
-        promise = f"after start, states() has x, y, heading and speed {asked} of {run.name(first)} [m, rad, m/s]"
+        promise = f"after start, states() has x, y, heading, speed = {asked} for {run.name(first)} [m, rad, m/s]"
         yield not off.any(), promise, f"{got}{self.misplaced(run) if off.any() else ''}"
         for number, rows in enumerate(run.states.transpose(1, 0, 2)):
             who, (driven, by_speed, course) = run.name(number), run.steps(number)
+            # The distance. If every tick has the same ratio to the speed, the unit is wrong; if one differs, it is a
+            # jump.
             ratio = float(driven.sum() / max(by_speed.sum(), 1e-3))
             self.facts.setdefault("driven", ratio)
             jump, is_late = np.abs(driven - by_speed * ratio), driven[0] < 0.2 * driven[-1]
-            jumped = f"{driven[jump.argmax()]:.1f} m at {rows[jump.argmax(), 3]:.1f} m/s by {who} in a tick"
-            received = f"those before it: the first step does not move {who}" if is_late else jumped
+            jumped = f"{driven[jump.argmax()]:.1f} m at {rows[jump.argmax(), 3]:.1f} m/s for {who} in a tick"
+            received = f"the states before it: the first step does not move {who}" if is_late else jumped
             yield jump.max() <= JUMP and not is_late, "states() has the states after the step, without jumps", received
-            promise = "a vehicle drives as far as dt (or hz), metres_per_second and metres say of its speed"
-            yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance by {who}"
+            promise = "the distance of a vehicle fits its speed, by dt (or hz), metres_per_second and metres"
+            yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance for {who}"
+            # The direction. A vehicle with turned wheels slips, so it may differ from the heading in a turn.
             turned, away, gained = float(rows[-1, 2] - rows[0, 2]), float(course[-1]), float(rows[-1, 3] - rows[0, 3])
-            promise = "a vehicle moves where its heading points, by headings, y_is_left and degrees"
-            received = f"{math.degrees(away):.0f} degrees beside it by {who}, whose heading turned by {turned:.2f} rad"
+            promise = "a vehicle moves in the direction of its heading, by headings, y_is_left and degrees"
+            received = f"{math.degrees(away):.0f} degrees off for {who}, whose heading turned by {turned:.2f} rad"
             yield abs(away) <= (STEADY if is_steady else SLIP[0] * abs(turned) + SLIP[1]), promise, received
             is_kept = not is_steady or (abs(gained) <= DRAG * COAST and abs(turned) <= STEADY)
-            promise = "without acceleration and steering, a vehicle keeps its speed and its heading, whoever is near"
-            yield is_kept, promise, f"{gained:+.1f} m/s and {turned:+.2f} rad by {who} in {COAST:g} s"
+            promise = "without acceleration and steering, a vehicle keeps its speed and its heading, even near others"
+            yield is_kept, promise, f"{gained:+.1f} m/s and {turned:+.2f} rad for {who} in {COAST:g} s"
 
     def obeys(self, run: _Run, name: str) -> Iterator[tuple[Any, str, str]]:
-        """Yield that vehicles do what their controls say; note if it is late or in part."""
+        # Promises that vehicles do what their controls say. A note says if it is late or in part.
         column, (least, whole, most) = 2 + (name == "acceleration"), OBEYED[name]
         done, asked = np.diff(run.states[..., column], axis=0), (run.model[1:] - run.states[:-1])[..., column]
+        # The change in each tick, of the simulator and of the model. A lagging drivetrain needs time, so only the last
+        # part counts.
         since, limit = int(SETTLED * len(asked)), min(LATE, 0.8 * run.dt)
         parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(axis=0)  # [vehicle, whose control]
+        # The control of which vehicle explains the change, and is the unit a usual one?
         for number, part in enumerate(np.diag(parts).tolist()):
             who, body, fits = run.name(number), run.bodies[number], least <= part <= most
-            others = [f"; that of {named(n)} moves it" for n, each in enumerate(parts[number]) if abs(each - 1) < 0.03]
+            others = [f"; the control of {named(n)} moves it" for n, p in enumerate(parts[number]) if abs(p - 1) < 0.03]
             is_swapped = column == 2 and abs(part * body.width / body.length - 1) < 0.05
-            hint = "" if fits else "; is its width taken for its length?" if is_swapped else "".join(others[:1])
+            hint = "" if fits else "; is its width used as its length?" if is_swapped else "".join(others[:1])
             units = [f", as in {unit} per second" for unit, share in UNITS.items() if abs(part / share - 1) < 0.03]
             self.facts.setdefault(name, part)
             promise = f"control.{name} of a vehicle changes its {STARTS[column][0]} as in a bicycle model"
-            received = f"{part:.2f} times that by {who}{''.join(units[: column - 2])}{hint}"
+            received = f"{part:.2f} times that for {who}{''.join(units[: column - 2])}{hint}"
             yield fits and not (units and column == 3), promise, received
+            # Late or partial effects are allowed, but told.
             late = run.dt * (len(done) - float(done[:, number].sum() / (part * asked[:, number].mean())))
             found = [f"in part, {part:.2f} times"] * (part < whole) + [f"{late:.2f} s late"] * (late > limit)
             if found:
                 told = f"a lagging drivetrain: control.{name} of {named(number)} takes effect {' and '.join(found)}"
-                advice = "" if self.said.moves_ego_only else "; for NPCs that obey at once, set moves_ego_only = True"
+                advice = "" if self.said.moves_ego_only else "; set moves_ego_only = True if NPCs obey immediately"
                 self.notes.setdefault(name, f"{told}, which is allowed{advice}")
 
     def turns(self, run: _Run, reference: str) -> Iterator[tuple[Any, str, str]]:
-        """Yield that vehicles turn about a place near their rear axles, and the longer the less."""
+        # Promises that vehicles turn about a point near their rear axles, and long ones less.
+        # Of two vehicles of different length, the longer one must turn less.
         turned = run.states[-1, :, 2] - run.states[0, :, 2]
         parts = turned / (run.model[1:] - run.states[:-1])[..., 2].sum(axis=0)
         shares = dict(zip((body.length for body in run.bodies), parts.tolist(), strict=True))
         short, long = min(shares), max(shares)
         is_felt = long < 1.8 * short or shares[long] / shares[short] < 0.85 * long / short
-        yield is_felt, "the length of a vehicle decides how it turns", f"the same turn with {short:g} and {long:g} m"
+        yield is_felt, "a vehicle turns according to its length", f"the same turn with {short:g} and {long:g} m"
         for number, length in enumerate(body.length for body in run.bodies):
             driven, _, course = run.steps(number)
+            # The slip gives the distance between the point that the vehicle turns about and the centre of its box.
             spare = run.states[-1, number, 3] * run.dt / 2 / length  # a step may use the heading before or after it
             behind = float((driven * np.sin(course)).sum() / turned[number] / length)
             is_ahead = behind + spare < CENTRE[0]
-            promise = "a vehicle turns about its rear axle, so that reference names the point whose place is stated"
+            promise = "a vehicle turns about its rear axle, given the stated reference"
             received = f"{behind * length:.1f} m behind the centre of {run.name(number)}, with {reference!r}"
             yield behind - spare <= CENTRE[1] and not (is_ahead and reference == "front"), promise, received
             if is_ahead and reference == "centre":
-                self.notes.setdefault("reference", 'vehicles turn about their places: set reference = "rear axle"?')
+                self.notes.setdefault("reference", 'vehicles turn about their positions: set reference = "rear axle"?')
 
     def misplaced(self, run: _Run) -> str:
-        """Return in words how the start differs from what was asked for; empty if it is nothing usual."""
+        # Returns an empty string if the difference is nothing usual.
         asked, got, most = run.model[0], run.states[0], run.model[0, :, 1].max()
+        # Another order of the vehicles.
         far = np.hypot(*(asked[:, None, :2] - got[None, :, :2]).T)  # [states, asked]
         order, nearest = far.argmin(axis=1).tolist(), far.min(axis=1).max()
         if len({*order}) == len(order) and nearest < 0.3 < far.diagonal().max():
-            return "; states() has them in another order than start received them, the ego first"
+            return "; states() has the vehicles in another order than start received them (the ego first)"
+        # Another point of reference: all are shifted along their headings.
         ahead = ((got - asked)[:, :2] * np.stack([np.cos(asked[:, 2]), np.sin(asked[:, 2])], axis=1)).sum(axis=1)
         is_half = np.abs(np.abs(ahead) - np.array([body.length for body in run.bodies]) / 2).max() < 0.1
         if is_half or (np.ptp(ahead) < 0.1 and 0.2 < abs(ahead[0]) < 6.0):
-            side = f"{abs(ahead[0]):.2f} m {'ahead of' if ahead[0] > 0 else 'behind'} where start put them"
-            return f"; states() has vehicles {side}. Both have the point that reference names, {self.said.reference!r}"
+            side = f"{abs(ahead[0]):.2f} m {'ahead of' if ahead[0] > 0 else 'behind'} the requested positions"
+            return f"; states() has vehicles {side}. Both use the point that reference names, {self.said.reference!r}"
+        # Mirrored or scaled lanes.
         if np.abs(got[:, 1] - (most - asked[:, 1])).max() < 0.1:
             return "; its lanes are counted from the right, but lane 0 is the leftmost"
         share = float(got[asked[:, 1].argmax(), 1] / (most or 1.0))
@@ -360,17 +379,21 @@ class _Bench:
         return f"; its lanes are {share:.4g} times as wide as lane_width says" if wide else ""
 
     def cause(self) -> str:
-        """Return in words which other statement explains all, the simplest first; empty if none does."""
+        # Returns the simplest other statement that explains everything; empty if none does.
         real, facts, driven = self.said, dict(self.facts), self.facts.get("driven", 1.0)
+        # First other axes, those with the fewest changes first.
         axes = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
         others = ({name: value for name, value in each.items() if value != getattr(real, name)} for each in axes)
         causes: list[dict[str, Any]] = sorted(filter(None, others), key=len)
+        # Then other units, which follow from the measured ratio. Usual units come first.
         if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
             units = [("metres_per_second", real.metres_per_second * driven), ("metres", real.metres / driven)]
             units.sort(key=lambda unit: round(min(abs(unit[1] / usual - 1) for usual in (1.0, *UNITS.values())), 2))
             tick = {"hz": real.hz / driven} if real.dt is None else {"dt": driven / real.hz}
             causes += [tick, *({name: value} for name, value in units)]
+        # Last, controls in other units or with another sign.
         causes += [{"steering": -1.0}, *({name: 1 / facts[name]} for name in OBEYED if abs(facts.get(name, 0)) > 1e-3)]
+        # A cause explains everything if all experiments succeed with it.
         for each in causes:
             with suppress(AssertionError):
                 if all(is_kept for is_kept, *_ in self.promises(**each)):
@@ -379,18 +402,20 @@ class _Bench:
         return ""
 
     def check_repetition(self) -> None:
-        """Check that equal starts give equal runs, whatever a simulator did before, and in a new one."""
+        # Equal starts must give equal runs, whatever a simulator did before, and in a new simulator.
         promise = "the same start with the same seed gives the same run, to the last bit"
         run = self.drive(self.spots(0.8 * self.top), GAS, lambda n, t, _: ((-1) ** n * (1 - t), 0.02 * math.sin(t + n)))
         first, _, again = (self.again(run, *each) for each in ((), (2, self.seed + 1), ()))
-        cause = "reset all in start, and take random numbers from a generator that start makes from seed"
+        cause = "reset everything in start, and draw random numbers from a generator that start creates from seed"
         _check_same(first, again, run.dt, promise, f"in a simulator that was used before; {cause}")
         if not self.said.one_at_a_time:
+            # A second simulator that runs in between must have no effect.
             beside = self.world.simulators.take()
             again = self.again(run, beside=beside)
             self.world.simulators.give(beside)
-            share = "two simulators in a process share nothing, unless it states one_at_a_time = True"
+            share = "two simulators in a process share nothing, unless the class states one_at_a_time = True"
             _check_same(first, again, run.dt, share, "while another one is driven")
+        # Closing must work, and a new simulator must act in the same way.
         with warnings.catch_warnings(record=True, action="always") as told:
             self.world.simulators.give(self.real, is_sound=False)  # closes it
         self.real = self.world.simulators.take()
@@ -398,7 +423,7 @@ class _Bench:
         _check_same(first, self.again(run), run.dt, promise, f"in another simulator; {cause}")
 
     def again(self, run: _Run, vehicles: int | None = None, seed: int | None = None, beside: Any = None) -> FloatArray:
-        """Return the states with the vehicles and controls of a run, in the simulator's own units."""
+        # The states with the vehicles and controls of a run, in the simulator's own units.
         rows = [self.tell("start", run.given[:vehicles], self.seed if seed is None else seed)]
         if beside is not None:
             beside.start(run.given[::-1], self.seed + 1)
@@ -407,7 +432,6 @@ class _Bench:
 
 
 def _check_same(first: FloatArray, again: FloatArray, dt: float, promise: str, where: str) -> None:
-    """Check that two runs are the same to the last bit; the error says how they first differ."""
     if first.tobytes() != again.tobytes():
         tick, number, column = np.argwhere(first != again)[0].tolist()
         received = f"{STARTS[column][0]} of {named(number)} differs by {abs(first - again)[tick, number, column]:.3g}"

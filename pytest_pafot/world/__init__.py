@@ -1,18 +1,16 @@
-"""Worlds: the roads on which scenarios run against an ADS. Most code that uses highway-env is in this package.
+"""Worlds, the roads on which scenarios run, and most code that uses highway-env.
 
-A world (``highway.py``, ``gym_world.py``) checks a scenario and begins a run of it (``engines/``): the vehicles at
-their starts, and a driver of the ego. The kernel's loop (``kernel/loop.py``) then drives it, tick by tick. Which driver
-an ego has depends on the ADS:
+A world checks a scenario and sets up a run (``engines/``). The loop of the kernel (``kernel/loop.py``) then runs it
+tick by tick. The driver of the ego depends on the policy:
 
-- a planner, which returns acceleration and steering: ``PlannerDriver`` of the kernel;
+- planner with acceleration and steering: ``PlannerDriver`` of the kernel;
 - highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
-- any other vehicle class: ``ObjectDriver`` (``driving/environment.py``), which calls the class's own code;
-- a policy with an environment's actions: ``ModelPolicyDriver`` of the same file, and where the kernel does not know the
-  lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
+- other vehicle class: ``ObjectDriver`` (``driving/environment.py``);
+- policy with actions of an environment: ``ModelPolicyDriver``, or ``PolicyDriver`` if the kernel does not know the
+  lanes or the vehicle.
 
-In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all vehicles of the same loop
-(``engines/simulation.py``). Only environments with wrappers, or with a step function of their own, are driven by
-``env.step`` (``engines/gym_replay.py``), as is the check of each finding.
+In a :class:`pytest_pafot.SimulatorWorld`, a simulator replaces the states after each tick (``engines/simulation.py``).
+``env.step`` (``engines/gym_replay.py``) runs environments with wrappers or their own ``step``, and confirms findings.
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle

@@ -1,4 +1,4 @@
-"""What every world has, and the default, a straight motorway."""
+"""The base class of all worlds, and the default world, a straight motorway."""
 
 from __future__ import annotations
 
@@ -52,22 +52,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FirstDecision:
-    """The input that an ADS receives at its first decision and the output that it must return, for error messages."""
+    """The input of a policy at its first decision and the output that it must return, for error messages."""
 
     is_si: bool
-    """True if the ADS receives a :class:`pafot.Observation`, and not an environment's own observation."""
+    # What the policy receives, and what it must return, in a sentence.
     text: str
-    """A sentence that states what the ADS receives and what it must return."""
+    # What to do if the policy is made for something else. Empty if only the caller can say.
     advice: str = ""
-    """What to do if the ADS is made for something else; empty if only the caller can say."""
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """Find out by a run of ``scenario`` what an ADS receives and must return; return None if no decision is reached."""
+    """Return what a policy receives and must return, or None if a scenario reaches no decision."""
     seen: list[Any] = []
     trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
         return None
+    # The run ended with an error about the action None, which states the expected one.
     expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
     observation = seen[0]
     is_si = isinstance(observation, Observation)
@@ -82,39 +82,30 @@ def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: S
 
 
 class RoadStart(NamedTuple):
-    """The lane and the speed with which the ego must start on a road.
-
-    Attributes:
-        lane: the ego's lane, counted from 0 at the left.
-        speed: the ego's speed [m/s].
-        physics_hz: ticks per second; a gene of a scenario for this road must last a whole number of ticks.
-    """
+    """The required lane and speed [m/s] of the ego at the start, and the ticks per second."""
 
     lane: int
     speed: float
     physics_hz: float
 
 
+# The smallest and largest accepted values of the fields that all worlds have.
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
-"""The fields that all worlds have, with their smallest and largest accepted values."""
 
 
+# The smallest and largest accepted duration of runs that are continued [s].
 LASTS = (0.01, 86400.0)
-"""The smallest and the largest accepted duration of runs that last longer [s]."""
 
 
 class EgoVehicle(Protocol):
-    """The ego's vehicle: a field that takes a vehicle or the name of a ready one, and gives a vehicle."""
+    """A field that is set to a vehicle type or its name, and returns a vehicle type."""
 
     def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
     def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
 
 
 class BaseWorld(ABC):
-    """The base class of all worlds, which are this package's own. Reference drivers can take the ego's place in them.
-
-    A user's simulator moves the vehicles of a :class:`pytest_pafot.SimulatorWorld`.
-    """
+    """The base class of all worlds. Only this package derives worlds from it."""
 
     clearance: float
     headway: float
@@ -124,10 +115,9 @@ class BaseWorld(ABC):
     ego: VehicleType
 
     is_resumable: bool = False
-    """True if ``rollout`` accepts the first decisions of a run, as ``decisions=``."""
 
+    # True if `rollout_in_gym` can repeat a run with `env.step` of a gymnasium environment.
     replays_in_gym: bool = True
-    """True if :meth:`rollout_in_gym` repeats a run with ``env.step`` of a plain gymnasium environment."""
 
     @property
     @abstractmethod
@@ -136,71 +126,62 @@ class BaseWorld(ABC):
 
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario with a fresh ADS. A decision that exceeds ``hang_limit`` ends the run."""
+        """Simulate a scenario with a new policy. A decision that exceeds ``hang_limit`` ends the run."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return the world as plain data: numbers, text, lists, mappings."""
+        """Return the world as JSON-compatible data."""
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario in gymnasium, to confirm a finding."""
         raise NotImplementedError
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The ways in which roads without NPCs meet the ego's way: crossing, joining, oncoming."""
+        """The ways in which roads without NPCs meet the ego's path: crossing, joining, oncoming."""
         return frozenset()
 
     @property
     def action_space(self) -> Any:
-        """The gymnasium space of actions; None if the ADS acts in SI units."""
         return None
 
     @property
     def hides(self) -> bool:
-        """True if observations can be made without one of the vehicles."""
+        # True if a vehicle can be hidden from observations.
         return True
 
     @property
     def tick(self) -> float:
-        """The duration of a tick [s], if a second has no whole number of ticks; else 0."""
+        # The duration of a tick [s], if a second has no whole number of ticks; otherwise 0.
         return 0.0
 
     @property
     def left_out(self) -> Mapping[str, tuple[str, ...]]:
-        """The methods of the environment that change its state, but are not called in runs of a policy."""
+        # The methods of the environment that change its state, but are not called in runs of a policy.
         return {}
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
-        """Return the given options of the environment that have no effect in a search, under what has it instead.
+        """Return the options of the environment that have no effect in a search, grouped by what replaces them.
 
-        Args:
-            drives_itself: true if the ADS is a vehicle class.
-            simulates: true if the ADS gets the environment.
+        ``simulates`` is true if the policy receives the environment.
         """
         return {}
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """The names of the installed packages whose versions change runs, in addition to those of every world."""
+        """Names of further installed packages whose versions affect runs."""
         return ()
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether ``ads``, an ADS or its factory, is driven without Python code in each tick.
-
-        A run then takes about a millisecond. False if that is not known before the run, such as of a factory that
-        returns a vehicle class.
-        """
+        """Return whether no tick of a run of ``ads`` needs Python code, so that a run takes about a millisecond."""
         return False
 
     @property
     def observation_space(self) -> Any:
-        """The gymnasium space of observations; None if the ADS receives a :class:`pytest_pafot.Observation`."""
         return None
 
     @property
     def rules(self) -> Rules:
-        """The settings that all runs have in common."""
+        # On a straight road, the run must end before an ego at top speed could reach the end of the road.
         rules, lasts = self._rules, self.lasts
         if lasts is None:
             return rules
@@ -209,11 +190,11 @@ class BaseWorld(ABC):
     @property
     @abstractmethod
     def _rules(self) -> Rules:
-        """The settings that all runs have in common if their scenario and ``duration`` decide how long they last."""
+        """The settings of runs that are not continued."""
 
     @cached_property
     def network(self) -> Any:
-        """The road, which is straight, as a road network of highway-env."""
+        # As a road network of highway-env.
         from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
 
         lane = self.road.lanes[0]
@@ -221,7 +202,7 @@ class BaseWorld(ABC):
 
     @property
     def stock_road(self) -> Any:
-        """The road as a road of highway-env without vehicles."""
+        # As a road of highway-env without vehicles.
         from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
 
         return Road(self.network)
@@ -233,109 +214,90 @@ class BaseWorld(ABC):
 
     @property
     def start(self) -> tuple[int, float] | None:
-        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
+        """The required lane and speed [m/s] of the ego at the start; None on a straight road."""
         return self.road.prescribed
 
     @property
     def road_start(self) -> RoadStart | None:
-        """The lane and speed of :attr:`start`, with the ticks per second; None if the ego may start in any lane."""
         return None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
 
     @property
     def straight_road(self) -> StraightRoad | None:
-        """The road if it is straight, else None."""
         return self.road if isinstance(self.road, StraightRoad) else None
 
     def can_drive(self, vehicle: VehicleType) -> bool:
-        """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
+        """Return whether an NPC of this type can follow all bends of the ego's path."""
         return self.rules.road.can_drive(vehicle)
 
     @property
     def longest_run(self) -> float:
-        """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
+        """The longest duration of a run [s]. A run of a shorter scenario ends earlier."""
         return self.rules.duration if self.rules.lasts is None else self.rules.lasts
 
     @property
     def crossings(self) -> Crossings | None:
-        """The ways of other traffic that meet the ego's way; None if there are none."""
+        """The paths of other traffic that meet the ego's path, or None."""
         return self.rules.crossings
 
     @property
     def takes_over(self) -> tuple[str, ...]:
-        """The names of the drivers that can take over (:mod:`pytest_pafot.world.reference_drivers`)."""
+        """The names of the drivers that can take over."""
         return tuple(REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Check a scenario against this world.
+        """Check that a scenario fits this world.
 
         Raises:
-            ScenarioError: if the scenario does not fit; the error names the field.
-            WorldError: if the environment cannot be used.
+            ScenarioError: if it does not fit. The error names the field.
         """
         self.rules.check_fits(scenario)
 
     def lasting(self, seconds: float) -> Self:
-        """Return this world with runs of ``seconds``, longer than its scenarios and its own duration allow.
-
-        The road, the environment and its configuration stay the same, so a run begins as in this world, to the last
-        bit. NPCs with the longest chain go on with its last instruction; the others still keep their lane and speed.
-        On a straight road, runs end before an ego at top speed could reach the end of the road.
+        """Return this world with runs of ``seconds``, even if the scenario or ``duration`` is shorter.
 
         Raises:
             WorldError: if ``seconds`` is not a number from 0.01 to 86400.
         """
+        # The road and the environment stay the same, so a run starts as in this world, to the last bit. NPCs with the
+        # longest chain continue with its last instruction; the other NPCs keep their lane and speed.
         longer = copy.copy(self)  # with its road and environment, which take long to make
         object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
-        """Simulate a scenario with a reference driver in the ego's place.
-
-        The driver works in SI units on this road, decides at every physics tick, and does not know the future.
-
-        Args:
-            scenario: the scenario to run; it is checked against this world.
-            name: one of :attr:`takes_over`.
+        """Simulate a scenario with a reference driver instead of the policy.
 
         Raises:
-            WorldError: if there is no reference driver with this name.
-            ScenarioError: if the scenario does not fit this world.
+            WorldError: if ``name`` is not one of :attr:`takes_over`.
         """
         return self._driven_by(lambda: (_reference_driver(name), None), scenario)
 
     def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Simulate a run again, and let a reference driver take over the ego at a tick.
-
-        Up to that tick, the ego repeats its states in the trace, so the NPCs repeat their states, too. The driver
-        watches for the last 6 s before that tick, and from then on drives as in :meth:`rollout_reference`.
-
-        Args:
-            trace: the trace of a run in this world.
-            tick: the tick at which the driver decides for the first time.
-            name: one of :attr:`takes_over`.
+        """Repeat a run up to a tick, at which a reference driver takes over the ego.
 
         Raises:
             WorldError: for an unknown name, a tick that the run does not have, or a trace with a different tick rate.
-            ScenarioError: if the trace's scenario does not fit this world.
         """
         if not 0 <= tick <= trace.ticks:
-            raise WorldError(field="tick", expected=f"a tick of the run, 0 to {trace.ticks}", received=repr(tick))
+            raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
             raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
+        # The ego repeats its states, so the NPCs repeat their states, too. Shortly before the tick, the driver watches.
         seconds = tick / trace.physics_hz
         return self._driven_by(
             lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)), trace.executed
         )
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
-        """Return an ego that does in a run up to a tick what that of a trace did."""
+        # The states are equal to the last bit, whatever the policy was.
         return RecordedBody(trace, tick)
 
     def _driven_by(
         self, driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]], scenario: Scenario
     ) -> Trace:
         self.rules.check_fits(scenario)
+        # A reference driver decides at every tick. `policy_hz` keeps the steps of the environment as they were.
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, policy_hz=self.rules.ads_hz)
 
         def driven(scenario: Scenario, factory: Callable[[], Any]) -> Trace:
@@ -354,18 +316,17 @@ class BaseWorld(ABC):
         decisions: Sequence[Any] = (),
         body: Body | None = None,
     ) -> Trace:
-        """Simulate a scenario by the given rules with a planner in SI units; see :func:`planner_run`."""
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         return vehicles.drive(driver, guard, self._own_ends(rules, scenario, vehicles, guard))
 
     def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
-        """Return what may end a run before its time, in the environment of this world; None if nothing does."""
+        # What may end a run early in the environment of this world; None if nothing does.
         return None
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""
+        """Describe the first decision in a scenario, or return None if the run fails before it."""
         return decision_asked(self.rollout, scenario)
 
     def _check_fields(self) -> None:
@@ -380,12 +341,11 @@ class BaseWorld(ABC):
         except FieldError as error:
             raise WorldError(f"ego: {error}") from None
         if self.ego.braking < HARDEST:
-            expected = f"a vehicle that brakes with at least {HARDEST:g} m/s^2, as the rules require of every driver"
+            expected = f"a vehicle that can brake at {HARDEST:g} m/s^2, as the rules require of every driver"
             received = f"{self.ego.described}, with {self.ego.braking:g}"
             raise WorldError(field="ego", expected=expected, received=received)
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
-        """Return the fields as plain data: all but how long it runs, which a file decides."""
         data = asdict(cast("Any", replace)(self, **without))
         for name in ("lasts", "ego", *without):
             del data[name]
@@ -417,7 +377,7 @@ class BaseWorld(ABC):
         )
 
     def space(self, given: Mapping[str, Any]) -> SearchSpace:
-        """Return the space of scenarios with the given fields that fits the world, see ``space_on``."""
+        """Return a space of scenarios that fits the world, with the given fields; see ``space_on``."""
         from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
 
         given = {**given, "tick": self.tick} if self.tick else given
@@ -425,7 +385,7 @@ class BaseWorld(ABC):
 
     @property
     def most_on_grid(self) -> int:
-        """The largest number of NPCs with cells around the ego's prescribed start; 8 without a prescribed start."""
+        # The largest number of NPCs in cells around the required start of the ego; 8 without a required start.
         start = self.road_start
         return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
 
@@ -433,6 +393,7 @@ class BaseWorld(ABC):
         chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
         try:
             if npcs:
+                # Whether so many NPCs fit depends on the cells around the start, not on what they do.
                 time = self.tick or 1.0
                 self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time))
         except ScenarioError:
@@ -440,12 +401,12 @@ class BaseWorld(ABC):
         return True
 
     def run_of(self, trace: Trace) -> Run:
-        """Return a trace that was made in this world as a test function sees it."""
+        """Return a trace of this world in the form that a test function receives."""
         return Run(trace, take_over=TakingOver(self))
 
     @staticmethod
     def looks_si(actions: Sequence[Any]) -> bool:
-        """Return whether all actions are a ``Drive`` or a pair of numbers; False if there are no actions."""
+        # False without any actions.
         return bool(actions) and all(
             isinstance(action, Drive)
             or (
@@ -465,16 +426,11 @@ def _reference_driver(name: str) -> ReferenceDriver:
 
 @dataclass(frozen=True, slots=True)
 class TakingOver:
-    """The ability of a world to repeat a run in which the careful driver takes over from the ego."""
+    """A callable that repeats a run in which the careful driver takes over from the ego."""
 
     world: BaseWorld
 
     def __call__(self, trace: Trace, tick: int) -> Trace:
-        """Simulate a run again, with the careful driver in the ego's place from a tick on.
-
-        Raises:
-            DriverError: if the world raises.
-        """
         try:
             return self.world.take_over(trace, tick, CAREFUL)
         except Exception as error:  # of a user's simulator
@@ -482,14 +438,13 @@ class TakingOver:
             raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
     def lasting(self, seconds: float) -> TakingOver:
-        """Return the ability to repeat runs that last some seconds."""
         return TakingOver(self.world.lasting(seconds))
 
 
+# highway-env's lane width [m].
 LANE_WIDTH = 4.0
-"""The lane width of highway-env [m]."""
+# The smallest and largest number of lanes.
 LANE_COUNTS = (3, 6)
-"""The smallest and the largest number of lanes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -500,17 +455,18 @@ class Highway(BaseWorld):
     :class:`pytest_pafot.Drive`. It may also be a highway-env vehicle class, which drives itself.
 
     Attributes:
-        lanes: their number, 3 to 6.
-        speed_limit: [m/s]; the default is the paper's 60 mph.
+        lanes: number of lanes, from 3 to 6.
+        speed_limit: speed limit [m/s]. The default is 60 mph, as in the paper.
         physics_hz: simulation ticks per second.
-        ads_hz: decisions of the ADS per second; a divisor of ``physics_hz``.
-        duration: the longest duration of a run [s].
-        clearance: the least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.
-        headway: with which NPCs start ahead of the ego or behind it [s].
-        limits: of NPCs.
-        ego: [its vehicle](scenarios.md#the-egos-vehicle): a ``pafot.VehicleType``, or the name of a ready one.
-        hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        lasts: what :meth:`lasting` sets; not part of a saved world.
+        ads_hz: decisions of the policy per second, a divisor of ``physics_hz``.
+        duration: longest duration of a run [s].
+        clearance: smallest gap between the ego and the cells ahead of and behind it [m]. NPCs can come closer.
+        headway: time gap at which NPCs start ahead of or behind the ego [s].
+        limits: limits of the NPCs.
+        ego: vehicle of the ego ([types](scenarios.md#vehicles)): a ``pafot.VehicleType``, or the name of a built-in
+            type.
+        hang_limit: wall-clock time after which a decision of the policy is interrupted [s].
+        lasts: longer duration of all runs, set by :meth:`lasting`. It is not saved with the world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.
@@ -540,26 +496,24 @@ class Highway(BaseWorld):
 
     @cached_property
     def road(self) -> StraightRoad:
-        """The road, which is so long that no vehicle reaches its end, also in a run that is driven on."""
+        # So long that no vehicle reaches the end, even in a run that is continued.
         length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + DRIVEN_ON)
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
-        """Simulate a scenario with a fresh ADS.
+        """Simulate a scenario with a new policy.
 
         Args:
-            scenario: the scenario to run; it is checked against this world.
-            ads_factory: a callable that returns the ADS, called once; or a highway-env vehicle class, which drives
-                itself.
-            decisions: the first decisions of the run, in the form of ``Trace.actions``; the ADS is not called for
-                them. Decisions beyond the end of the run are ignored.
+            scenario: scenario to run.
+            ads_factory: function that returns the policy; or a highway-env vehicle class, which drives itself.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy is called after them.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
-            AdsFactoryError: if the factory returns nothing that can drive here.
+            AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
-            WorldError: if ``decisions`` are given together with a vehicle class, because it returns no decisions.
-            Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
+            WorldError: if ``decisions`` are given with a vehicle class, which returns no decisions.
+            Exception: any exception of the factory. An exception of the policy ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -574,32 +528,25 @@ class Highway(BaseWorld):
             if decisions:
                 raise WorldError(
                     f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
-                    f"actions, received {len(decisions)}; leave them out"
+                    f"actions, received {len(decisions)}; omit them"
                 )
             return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given)
         with closing(ads.given, self.hang_limit):
             return self._planned(rules, scenario, ads.given, decisions)
 
     is_resumable = True
-    """True, because :meth:`rollout` accepts ``decisions``."""
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""
         return not self.ego.has_limits and idm_model(ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's own highway-v0.
-
-        Args:
-            scenario: the scenario as driven, such as :attr:`pytest_pafot.Trace.executed`; it must fit this world.
-            ads_factory: a callable that returns the ADS; it is called once.
-        """
+        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's highway-v0."""
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
         return replay_highway(self.rules, scenario, Policy(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
+        """Return data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         return {"kind": "highway", **self._to_dict()}
 
     @cached_property

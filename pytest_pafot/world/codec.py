@@ -1,9 +1,7 @@
-"""Worlds in files: conversion to plain data and back, and worlds that the test must name because they are code.
+"""Conversion of worlds to data in files and back.
 
-A ``pafot.Highway``, ``pafot.World``, ``pafot.metadrive`` or ``pafot.sumo`` is data, and a replay makes it from the
-file. A user's simulator is code, and so are wrappers around an environment. Files may come from strangers, so no file
-may decide which code runs. For a world that is code, a replay uses the world that the test names, if the name of its
-simulator or environment is the name in the file.
+Files may come from untrusted sources, so no file may decide which code runs. A user's simulator, or wrappers around an
+environment, are code. For such a world, a replay uses the world of the test, if it has the name that the file contains.
 """
 
 from __future__ import annotations
@@ -24,50 +22,49 @@ from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
+# The classes of the package's simulators. Their keys are the `kind` in files and the name of the module.
 SIMULATORS: Mapping[str, str] = MappingProxyType({"metadrive": "MetaDrive", "sumo": "Sumo"})
-"""The classes of this package's simulators by the ``kind`` of their worlds in files, which also names their module."""
 
+# The `kind` of a user's simulator in files. In earlier versions, also of worlds with a `rollout` of their own.
 OWN = "own"
-"""The ``kind`` in files of a user's simulator. Before, it was also that of worlds with a ``rollout`` of their own."""
 
 BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Highway, "gym": World})
-"""The worlds of this package by their ``kind`` in files."""
 
+# The default class of other vehicles in highway-env's environments.
 OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
-"""The default class of other vehicles in highway-env's environments."""
 
+# If the world is code, these fields must be the same in the file and in the test's world. Other changes are only
+# reported.
 NAMED_BY = ("kind", "class", "env_id")
-"""The fields of a file that must be equal in the world that the test names. Changes in other fields are only reported.
-"""
 
+# The largest `hang_limit` that a file can set if no test names a world [s].
 LONGEST_DECISION = 600.0
-"""The largest ``hang_limit`` that a file can set if no test names a world [s]."""
 
 
 def checked_world(given: Any) -> BaseWorld:
     """Return a world if it is one of this package.
 
     Raises:
-        WorldError: for anything else, also for a derived class, whose runs its files could not repeat.
+        WorldError: for anything else, including a derived class.
     """
     if type(given) in (*BUILT_IN.values(), SimulatorWorld):
         world: BaseWorld = given
         return world
     if isinstance(given, BaseWorld):
         name = next(each.__name__ for each in type(given).__mro__ if each in (*BUILT_IN.values(), SimulatorWorld))
-        fix = f"use pafot.{name} itself: a derived class may do anything, and a file could not say what"
+        fix = f"use pafot.{name} itself, because a file cannot describe what a derived class does"
     else:
-        fix = "a simulator of your own is a class derived from pafot.Simulator, in a pafot.SimulatorWorld"
+        fix = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
     expected = "pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)"
     raise WorldError(field="world", expected=expected, received=shown(given), fix=fix)
 
 
 def from_dict(data: Mapping[str, Any]) -> BaseWorld:
-    """Make a world from the plain data that :func:`described` or a built-in world's ``to_dict`` has returned.
+    """Make a world from the data that :func:`described` or ``to_dict`` of a built-in world has returned.
 
     Raises:
-        WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env,
-            or a simulator that does not accept the data.
+        WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env, or
+            data that the simulator does not accept.
     """
     if not isinstance(data, Mapping):
         raise WorldError(field="world", expected="a mapping", received=repr(data))
@@ -76,7 +73,7 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
         return _built_in(kind, values)
     if isinstance(kind, str) and kind in SIMULATORS:
         return _of_simulator(kind, values)
-    hint = "a file cannot hold the code of your simulator; use the world object itself, or --world module:factory"
+    hint = "a file cannot contain the code of your simulator; use the world object itself, or --world module:factory"
     known = ", ".join(sorted([*BUILT_IN, *SIMULATORS]))
     raise WorldError(
         field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint if kind == OWN else ""
@@ -91,8 +88,8 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        expected = "none, since a file holds no code"
-        fix = "give pafot.World(..., wrappers=[...]) in the test, or by --world module:factory"
+        expected = "none, because a file contains no code"
+        fix = "use pafot.World(..., wrappers=[...]) in the test, or --world module:factory"
         raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
@@ -100,17 +97,15 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         config = values.get("config")
         path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
         if not _may_name(path):
-            fix = "a corpus file may not name other code; import the module of a vehicle class of your own first"
+            fix = "a corpus file must not name other code; for your own vehicle class, import its module first"
             expected, place = "a class of highway_env.vehicle", "world.config.other_vehicles_type"
             raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
 
 
 def _may_name(path: Any) -> bool:
-    """Return whether a file may name a class, which highway-env imports: one of its own, or the user's vehicle class.
-
-    The latter must have been imported already, such as by the test.
-    """
+    # highway-env imports what the file names. So it must be a class of highway-env, or a vehicle class of the user that
+    # has been imported already, for example by the test.
     module, _, name = str(path).rpartition(".")
     found = vars(sys.modules.get(module, object)).get(name)
     is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [each.__module__ for each in found.__mro__]
@@ -141,11 +136,7 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
 
 
 def described(world: BaseWorld) -> dict[str, Any]:
-    """Describe a world as plain data for a file.
-
-    Raises:
-        WorldError: if its environment or its simulator cannot be used.
-    """
+    """Return the data of a world for a file."""
     data = world.to_dict()
     if not isinstance(world, SimulatorWorld):
         return data
@@ -159,8 +150,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
     """Make the world that a file describes, with runs and decisions no longer than in ``own``, the test's world.
 
     Raises:
-        WorldError: as :func:`from_dict`; and for a world of a simulator whose runs or decisions may last longer,
-            because :func:`within` cannot shorten them.
+        WorldError: as :func:`from_dict`, and if :func:`within` cannot shorten the runs of a simulator.
     """
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
@@ -172,28 +162,24 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
             raise WorldError(
-                field="world.data", expected=expected, received=received, fix="raise the limit of the test's world"
+                field="world.data", expected=expected, received=received, fix="increase the limit of the test's world"
             )
     return world
 
 
 def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
-    """Return a file's world data, changed so that no run and no decision lasts longer than in the test's own world.
+    """Return the data of a world with runs and decisions no longer than in ``own``, the test's world.
 
-    A file may come from anyone and must not decide how long a session lasts. A decision may take as long as in the
-    test's own world, and a run has at most as many ticks as the longest run in that world. A longer run is cut: only
-    its beginning is simulated. Data within these limits is not changed.
-
-    Args:
-        data: the world data of the file; errors in it are not corrected.
-        scenario: the scenario of the file.
-        own: the world that the test names; None without a test.
+    A file from an untrusted source must not decide how long a session takes. Of a longer run, only the start is
+    simulated.
     """
     limits: dict[str, float] = {}
+    # A decision may take as long as in the test's world.
     hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else own.hang_limit
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
+        # A run may have as many ticks as the longest run in the test's world. A longer run is cut.
         config, longest = data.get("config"), _longest(data, own)
         given = data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None
         asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
@@ -203,13 +189,13 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = 
 
 
 def cuts(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how :func:`within` shortens the run of a file; return an empty list if it does not."""
+    """Describe how :func:`within` shortens the run of a file."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
 
 def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
-    """Return the duration that has as many ticks in the file's world as that of the test's world in its own [s]."""
+    # The duration with as many ticks in the file's world as the longest run has in the test's world [s].
     config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
@@ -229,48 +215,40 @@ def is_code(data: Mapping[str, Any]) -> bool:
 
 
 def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return ``world``, which the test names, if it is the world of the file ``data``.
+    """Return ``world``, which the test names, if it is the world of the file.
 
     Raises:
-        WorldError: if it differs from the file in a field of :data:`NAMED_BY`, or if the file was saved in a world with
-            a ``rollout`` of its own, which earlier versions had.
+        WorldError: if a field of ``NAMED_BY`` differs, or if an earlier version saved the file.
     """
     now = described(world)
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
         expected = "a file of a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
-        received = f"{_title(data)} with a rollout of its own, which no version has any more"
-        fix = "search again in a pafot.SimulatorWorld with a pafot.Simulator of your own, and delete this file"
+        received = f"{_title(data)} with its own rollout, which is no longer supported"
+        fix = "derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file"
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     expected = f"that the test names the world in which the scenario was saved, {_title(data)}"
-    way = "give it by @pafot.search(world=...), the fixture pafot_world or --world"
+    way = "set it with @pafot.search(world=...), the fixture pafot_world or --world"
     fix = f"{way}; if only its name has changed, write the new name into the file"
-    raise WorldError(expected=f"{expected}, because a file holds no code", received=_title(now), fix=fix)
+    raise WorldError(expected=f"{expected}, because a file contains no code", received=_title(now), fix=fix)
 
 
 def of_named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return the world of a file, for which the user names a world: that one if the file's world is code.
-
-    Raises:
-        WorldError: if the user names the world of another class or environment.
-    """
+    """Return the world of a file: ``world``, which the user names, if the file's world is code."""
     same = named(data, world)
     return same if is_code(data) else from_dict(data)
 
 
 def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from a file whose world is code; return an empty list for other files."""
+    """Describe how the test's world differs from a file whose world is code."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))
 
 
 def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from the world that :func:`of_file` makes, in which a file is replayed.
-
-    The list is empty for a file whose world is code, because it is replayed in the test's world.
-    """
+    """Describe how the test's world differs from the world in which a file is replayed, unless that is code."""
     if is_code(data):
         return []
     return differences("world", described(of_file(data, scenario, own)), described(own))

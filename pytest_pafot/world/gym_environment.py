@@ -1,7 +1,4 @@
-"""A highway-env environment as a world needs it: checked, without its random traffic, in the requested wrappers.
-
-This module refuses every unusable environment, configuration or wrapper; the errors say how to correct the input.
-"""
+"""A highway-env environment for a world: checked, without random traffic, in the requested wrappers."""
 
 from __future__ import annotations
 
@@ -51,11 +48,12 @@ from pytest_pafot.world.stock import (
     observation,
 )
 
+# The options for random traffic, other than `vehicles_count`.
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
-"""The options that environments have for their random traffic, besides ``vehicles_count``."""
+# Options that this package replaces while scenarios run: those for traffic, and one that depends on the machine.
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
-"""The traffic options, which this package replaces while scenarios run, and the option that depends on the machine."""
 
+# All options of highway-env for other vehicles, which NPCs replace in a search.
 TRAFFIC_OPTIONS = (
     *TRAFFIC,
     "vehicles_count",
@@ -63,10 +61,11 @@ TRAFFIC_OPTIONS = (
     "other_vehicles_type",
     "incoming_vehicle_destination",
 )
-"""All options of highway-env for other vehicles, in whose place a search has NPCs."""
+# These have no effect on an ego that decides without the environment's observations and actions.
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
-"""The options that have no effect on an ego that decides without the environment's observations and actions."""
 
+# The largest accepted values of options that determine how long highway-env computes. With these values, it takes
+# seconds to make an environment.
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
         "lanes_count": 20,
@@ -85,11 +84,10 @@ LARGEST: Mapping[str, float] = MappingProxyType(
         "scaling": 1000,
     }
 )
-"""The largest accepted values of options that determine how long highway-env computes; with these values, it takes
-seconds to make an environment."""
+# The smallest accepted values of options by which highway-env divides: pixels per metre, and metres per cell, which is
+# also its step along each lane.
 SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 0.05})
-"""The smallest accepted values of options by which highway-env divides: pixels per metre, and metres per cell, which is
-also its step along each lane."""
+# The largest accepted number of entries of options that are lists.
 LONGEST: Mapping[str, int] = MappingProxyType(
     {
         **dict.fromkeys(("features", "attributes", "scales"), 50),  # highway-env's vehicles have 13 features
@@ -99,53 +97,51 @@ LONGEST: Mapping[str, int] = MappingProxyType(
         "weights": 3,
     }
 )
-"""The largest accepted number of entries of options that are lists."""
+# The options that contain configurations of observations and actions.
 NESTED = ("observation_config", "observation_configs", "action_config")
-"""The options whose values are configurations of observations and actions."""
+# The largest accepted number of cells of an occupancy grid.
 MOST_CELLS = 250_000
-"""The largest accepted number of cells of an occupancy grid."""
+# The largest accepted number of values in an observation: 40 features of the largest grid, or four images of 1920 by
+# 1080.
 MOST_NUMBERS = 10_000_000
-"""The largest accepted number of values in an observation: 40 features of the largest grid, or four images of 1920 by
-1080."""
+# A part of an observation counts as at least this many values, because even a small part takes milliseconds.
 LEAST_NUMBERS = MOST_NUMBERS // 20
-"""The least number of values that is counted for a part of an observation; even a small part takes milliseconds."""
 
+# The attributes through which highway-env reaches the ego. A run puts its own ego there.
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
-"""The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
 
+# The methods that report after a step that the episode is over.
 ENDS = ("_is_terminated", "_is_truncated")
-"""The methods of environments that say after a step that the episode is over."""
+# The classes of highway-env that terminate episodes only by a crash, or when the ego leaves a curved road, which ends
+# runs anyway.
 ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv")
-"""The classes of highway-env that terminate episodes only by a crash, or where the ego leaves a bent road, at which
-runs end without being asked; or never."""
 
+# The methods that only `step` and `reset` of an environment call. Runs do not need them.
 LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
-"""The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
 
+# How many resets of an environment are compared. A wrapper's may be slow, for example if it records videos.
 RESETS, RESETS_IN_WRAPPERS = 10, 4
-"""How many resets of an environment are compared; a wrapper's may be slow, such as one that records videos."""
 
+# Attributes of these types are values, not parts of highway-env.
 PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
-"""The types of attributes that are values, and no part of highway-env."""
 
+# Attributes of these types can be changed in place.
 MUTABLE = (list, dict, set, bytearray, deque, np.ndarray)
-"""The types of attributes that are changed in place."""
 
+# The time for which an environment may ignore interruptions before the process of a worker ends [s].
 IGNORED = 0.5
-"""The time for which an environment may ignore interruptions before the process of a worker ends [s]."""
 
+# `gymnasium.make` itself puts these around any environment. They check calls or end episodes. They change neither
+# observations nor actions.
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
-"""The wrappers that ``gymnasium.make`` itself puts around any environment.
-
-These wrappers check calls or end episodes; they change neither observations nor actions.
-"""
 
 
 class EnvironmentGuard(HangGuard):
-    """A guard of the code of an environment and its wrappers, which may take as long as a simulator's methods.
+    """A time limit for the code of an environment and its wrappers.
 
     Args:
-        hang_limit: the limit of a decision in the world [s]. Decisions within a step have guards of their own.
+        hang_limit: limit of a decision in the world [s]; the code of the environment may take longer. Decisions within
+            a step have separate guards.
     """
 
     def __init__(self, hang_limit: float) -> None:
@@ -154,23 +150,23 @@ class EnvironmentGuard(HangGuard):
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """Guard a call of a method of the environment in a ``with`` block.
+        """Guard a call of the environment in a ``with`` block.
 
         Raises:
             WorldHang: if it does not return in time.
-            OutOfTime: if the time of the search is over.
+            OutOfTime: if the time of the search has run out.
         """
         try:
             with self.decision():
                 yield
         except AdsHang as error:
             self.decision_ends()
-            message = f"{_running(error)} did not return within {self.limit:g} s and was interrupted"
+            message = f"{_interrupted_method(error)} did not return within {self.limit:g} s and was interrupted"
             raise WorldHang(message).with_traceback(error.__traceback__) from None
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Leave out the time of a ``with`` block within a call, in which other code runs."""
+        """Do not count the time of a ``with`` block within a call, in which other code runs."""
         started, now = self.started, self.clock()
         self.decision_ends()
         try:
@@ -180,16 +176,13 @@ class EnvironmentGuard(HangGuard):
                 self.started = started + self.clock() - now
 
     def is_stuck(self) -> bool:
-        """Return whether the environment ignores interruptions."""
         started = self.started
         return started is not None and self.clock() - started > self.limit + IGNORED
 
 
-def _running(error: AdsHang) -> str:
-    """Return the class and the method of an environment or wrapper that was running when it was interrupted.
-
-    It is the innermost one of the user's own: a wrapper that steps its environment for ever spends its time there.
-    """
+def _interrupted_method(error: AdsHang) -> str:
+    # The innermost method of the user's counts: a wrapper in an endless loop spends most of its time in the
+    # environment.
     found, is_own = "the environment", False
     for frame, _ in traceback.walk_tb(error.__traceback__):
         env, name = frame.f_locals.get("self"), frame.f_code.co_name
@@ -201,13 +194,13 @@ def _running(error: AdsHang) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GymEnvironment:
-    """The environment of a world, made at its first use; if it cannot be used, a ``WorldError`` says why.
+    """The environment of a world, which is made at its first use.
 
     Attributes:
-        env_id: the environment's registered id.
-        config: the user's configuration; None for the registered configuration.
-        wrappers: the user's wrappers; None if the policy must see the environment without wrappers.
-        hang_limit: the limit of a decision in the world [s].
+        env_id: id of the registered environment.
+        config: configuration of the user; None for the registered configuration.
+        wrappers: wrappers of the user; None if the policy must see the environment without wrappers.
+        hang_limit: limit of a decision in the world [s].
     """
 
     env_id: str
@@ -217,7 +210,7 @@ class GymEnvironment:
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """Guard a call of a method of an environment outside of a run, in a ``with`` block.
+        """Guard a call of an environment outside of a run, in a ``with`` block.
 
         Raises:
             WorldError: if it does not return in time.
@@ -226,16 +219,17 @@ class GymEnvironment:
             with EnvironmentGuard(self.hang_limit) as guard, guard.call():
                 yield
         except WorldHang as error:
-            fix = "correct it, or give the world a longer hang_limit"
+            fix = "correct it, or increase hang_limit of the world"
             expected = "an environment whose methods return"
             raise WorldError(field="env_id", expected=expected, received=str(error), fix=fix) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
-        """Make a fresh environment in all its wrappers, with or without random traffic.
+        """Make a new environment in all its wrappers, with or without random traffic.
 
-        An environment of the user's own that cannot be reset without other vehicles begins with its own traffic. Runs
-        then put the NPCs in its place.
+        A user's environment that cannot be reset without other vehicles starts with its traffic, which the NPCs
+        replace.
         """
+        # Reject first what would take minutes to make.
         creator, given = _creator(self.env_id), self.config or {}
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
@@ -244,7 +238,7 @@ class GymEnvironment:
             # What an environment sets in classes, such as in its __init__, holds in an episode of its own traffic.
             kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
             with kept as changed, self.in_time():
-                env = _made(self.env_id, creator, self._given_config, has_traffic=has_traffic)
+                env = _make_environment(self.env_id, creator, self._given_config, has_traffic=has_traffic)
             self._changed.update(changed)
         except WorldError:
             raise
@@ -258,34 +252,32 @@ class GymEnvironment:
             expected = f"a configuration that the environment {self.env_id} accepts"
             if not given:
                 field, received = "env_id", repr(self.env_id)
-                expected = "an environment that gymnasium.make makes and resets with seed 0"
+                expected = "an environment that gymnasium.make can create, and that can be reset with seed 0"
             fix = f"it raised {type(error).__name__}: {error!s:.200}"
             raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
+        # Without them, the policy might receive other observations than it was made for.
         added = wrapper_names(env)
         if self.wrappers is None and added:
             raise WorldError(
                 field="env_id",
                 expected="an environment that is registered without wrappers",
                 received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
-                fix=f"if the run should use these registered wrappers and no others, give "
-                f"pafot.World({self.env_id!r}, wrappers=[]); the list contains only wrappers to add to them",
+                fix=f"to use only the registered wrappers, write "
+                f"pafot.World({self.env_id!r}, wrappers=[]); the list is for additional wrappers",
             )
         with self.in_time():
-            return _wrapped(env, self.wrappers or ())
+            return _wrap(env, self.wrappers or ())
 
     @cached_property
     def _changed(self) -> dict[Any, dict[str, Any]]:
-        """The constants of highway-env's vehicle classes that the environment sets, by class."""
+        # By class, the constants of highway-env's vehicle classes that the environment sets.
         return {}
 
     @cached_property
     def outer(self) -> Any:
-        """The environment in its wrappers, with the configuration that they may give it in a reset.
-
-        Its road and its start are those of highway-env's reset with that configuration.
-        """
+        """The environment in its wrappers, which may have changed its configuration in a reset."""
         outer = self.make()
         if wrapper_names(outer):
             env = outer.unwrapped
@@ -305,13 +297,7 @@ class GymEnvironment:
         return outer
 
     def _check_resets(self) -> None:
-        """Refuse an environment of which resets with the same seed differ, such as by the number of episodes before.
-
-        Its runs would mix what is meant for different episodes, and none of them could be repeated.
-
-        Raises:
-            WorldError: if a later reset does not do what the first one does.
-        """
+        # If resets with the same seed differ, for example by the number of earlier episodes, runs cannot be repeated.
         outer = self.make()
         names, resets = wrapper_names(outer), RESETS_IN_WRAPPERS if wrapper_names(outer) else RESETS
         first = {} if names else _beginning(outer)  # wrappers have not reset it yet
@@ -333,25 +319,24 @@ class GymEnvironment:
                 was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
                 raise WorldError(
                     field="env_id",
-                    expected="an environment whose resets with the same seed are alike, so that runs can be repeated",
+                    expected="an environment with equal resets for the same seed, so that runs can be repeated",
                     received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
-                    fix="it counts its resets, or draws from random numbers without the seed: let an option of config= "
-                    "say what differs, and give each test its own",
+                    fix="does it count its resets, or draw random numbers without the seed? Make the difference an "
+                    "option of config=, with a separate value for each test",
                 )
 
     @property
     def wrapper_names(self) -> list[str]:
-        """The class names of all wrappers, the innermost first, including registered wrappers."""
+        """The class names of all wrappers, including registered ones, the innermost first."""
         return wrapper_names(self.outer)
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers and without traffic; no run changes it."""
+        """The environment without wrappers and traffic. No run changes it."""
         return self.outer.unwrapped
 
     @cached_property
     def straight_road(self) -> StraightRoad | None:
-        """The environment's road if it is straight, else None."""
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
@@ -361,12 +346,11 @@ class GymEnvironment:
 
     @cached_property
     def network(self) -> Any:
-        """The road as a road network of highway-env."""
         return SearchedLanes(self.unwrapped.road.network)
 
     @cached_property
     def traffic(self) -> TrafficClass:
-        """The class of its own traffic, of which its code sees the NPCs.
+        """The class of the environment's traffic, which its code expects of NPCs.
 
         Raises:
             WorldError: if the NPCs cannot be of that class.
@@ -384,14 +368,14 @@ class GymEnvironment:
             raise WorldError(
                 field="config.other_vehicles_type",
                 expected="a class of highway-env's vehicles that can be called with (road, position, heading, speed) "
-                "and leaves its vehicles where they are put, because the NPCs are of this class",
+                "and does not move its vehicles, because the NPCs are of this class",
                 received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
-                fix="correct the class, or let the option name another, such as "
+                fix="correct the class, or set the option to a different one, such as "
                 "'highway_env.vehicle.behavior.IDMVehicle'",
             ) from error
 
     def road(self, np_random: Any = None) -> Any:
-        """Return the road as a road of highway-env without vehicles and objects, for one run."""
+        """Return the road without vehicles and objects, for one run."""
         own, connected = self.unwrapped.road, self.unwrapped.config.get(CONNECTED, False)
         made = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
             self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
@@ -402,7 +386,7 @@ class GymEnvironment:
 
     @cached_property
     def compiled_lanes(self) -> StraightRoad | Network | None:
-        """The road in plain numbers for the kernel; None if it has lanes that the kernel does not know."""
+        """The road as numbers for the kernel, or None if the kernel does not know one of its lanes."""
         road = self.straight_road
         if road is not None and road.starts_at_origin:
             return road
@@ -410,22 +394,17 @@ class GymEnvironment:
 
     @property
     def config_of_wrappers(self) -> dict[str, Any]:
-        """The configuration after a reset in wrappers; empty without any."""
+        """The configuration after a reset in wrappers; empty without wrappers."""
         return dict(self.unwrapped.config) if wrapper_names(self.outer) else {}
 
     @property
     def route(self) -> tuple[Any, ...] | None:
-        """The route that the environment has planned for the ego; None without a route, and on straight roads."""
+        """The ego's planned route, or None without one, and on straight roads."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must call the environment's own ``step``, because highway-env's ``step`` is overridden.
-
-        For an ego that drives itself, only the ``step`` of the road matters. Two of highway-env's own are exceptions.
-        The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
-        makes vehicles yield, which this package's runs reproduce. The ``step`` of exits only adds to ``info``.
-        """
+        """Return whether runs must call the environment's ``step``, because it overrides highway-env's ``step``."""
         road = self.unwrapped.road
         steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
@@ -433,16 +412,15 @@ class GymEnvironment:
 
     @property
     def has_own_step(self) -> bool:
-        """True if the environment overrides the ``step`` of highway-env."""
         cls: Any = type(self.unwrapped)
         is_stock = cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step)
         return not (is_stock and cls._simulate is AbstractEnv._simulate)
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
-        """The methods of the environment that may end an episode for other reasons than runs know.
+        """The methods of the environment that may end an episode for reasons that runs do not know.
 
-        Runs know contacts, the time and, on roads that are not straight, that the ego has left the road.
+        Runs know contacts, the duration and, on roads that are not straight, that the ego has left the road.
         """
         found, cls, config = [], type(self.unwrapped), self.unwrapped.config
         for name in ENDS:
@@ -456,27 +434,26 @@ class GymEnvironment:
 
     @cached_property
     def step_limit(self) -> int | None:
-        """The number of steps of the environment to which gymnasium's ``TimeLimit`` limits an episode; None without.
+        """The number of steps to which gymnasium's ``TimeLimit`` limits an episode, or None without a limit.
 
-        A limit outside of other wrappers, which may repeat steps, only counts where runs step these wrappers.
+        A limit outside of other wrappers is ignored here, because these wrappers may repeat steps.
         """
         inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return min((each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None)
 
     @property
     def has_own_ends(self) -> bool:
-        """True if an episode may end where a run would go on that only its duration ends.
+        """True if an episode may end before the duration of the run.
 
-        What a ``step`` of the user's own returns is not known before.
+        The return value of a user's ``step`` is not known in advance.
         """
         return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
 
     @cached_property
     def ends_in_steps(self) -> bool:
-        """True if an episode may end only where its ``step`` is called.
+        """True if an episode may end only in calls of ``step``.
 
-        It does so by wrappers whose ``step`` is not gymnasium's, by limits of steps outside of any other wrapper, and
-        by a ``step`` of the environment's own.
+        The cause can be a wrapper, a limit of steps outside of other wrappers, or the environment's own ``step``.
         """
         others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return self.has_own_step or any(
@@ -485,12 +462,12 @@ class GymEnvironment:
 
     @cached_property
     def sets_ends(self) -> bool:
-        """True if the environment sets a method that ends episodes on itself, where a copy would ask the original."""
+        # A copy of the environment would ask the original whether the episode has ended.
         return any(name in vars(self.unwrapped) for name in ENDS)
 
     @cached_property
     def own_state(self) -> tuple[str, ...]:
-        """The names of the attributes whose values the environment's own code may change in place.
+        """The names of the attributes with values that the environment's code may change in place.
 
         Each run has copies of them. Values that cannot be copied, and those of libraries, are shared.
         """
@@ -507,21 +484,16 @@ class GymEnvironment:
         return tuple(found)
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
-
-        What an overridden ``reset`` does to the ego, such as to set its goal or to drive for a second, holds only in
-        an episode of the environment. It has no effect on an ego that drives itself.
-        """
+        """Return whether runs must be episodes of the environment, because of its ``step`` or ``reset``."""
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
         is_its_own = resets_itself or self.sets_ends
         return self.steps_itself(drives_itself=drives_itself) or (is_its_own and not drives_itself)
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The methods of the user's own for rewards, infos and ends that change state, each with what it changes.
+        """The user's methods for rewards, infos and ends that change state, each with what it changes.
 
-        Runs that are no episodes of the environment do not call them. What one changes is found by calling it once, and
-        in its source: it may change something in other states alone, or to a value that the reset has given already.
+        Runs that are not episodes of the environment do not call them.
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
@@ -542,25 +514,23 @@ class GymEnvironment:
         return found
 
     def check_keeps_no_ego(self) -> None:
-        """Refuse an environment that would read the ego of its reset, which drives in no run of a policy.
+        """Reject an environment with code that uses the ego of its reset instead of the ego of the run.
 
         Raises:
-            WorldError: if it keeps that ego where the ego of a run does not replace it.
+            WorldError: if the ego of a run does not replace that ego everywhere.
         """
         if self._keeper:
             raise WorldError(
                 field="env_id",
                 expected="an environment that reads its ego as self.vehicle",
-                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` keeps the ego that its reset made",
-                fix="the ego of a run replaces it: let what reads it read self.vehicle each time",
+                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` keeps the ego of its reset",
+                fix="the ego of a run replaces it; read self.vehicle each time instead",
             )
 
     @cached_property
     def _keeper(self) -> str:
-        """The name of an attribute that is a collection or a helper with the environment's own ego in it; or empty.
-
-        The ego of a run replaces that ego only in attributes of the environment itself.
-        """
+        # A collection or a helper with the environment's ego in it. The ego of a run replaces that ego only in
+        # attributes of the environment itself.
         env = self.unwrapped
         for name, value in vars(env).items():
             parts = value if isinstance(value, (list, tuple, set)) else getattr(value, "__dict__", value)
@@ -573,15 +543,13 @@ class GymEnvironment:
     def without_effect(
         self, *, is_planner: bool, drives_itself: bool, simulates: bool, ends: bool
     ) -> dict[str, list[str]]:
-        """Return the given options that have no effect in a search, under what has it in their place.
-
-        Rewards and drawing are not among them: they keep their meaning for wrappers and for a ``step`` of the user's.
+        """Return the options that have no effect in a search, grouped by what replaces them.
 
         Args:
             is_planner: whether the ego decides in SI units.
             drives_itself: whether the ego is a vehicle class, which may follow others as highway-env's traffic does.
-            simulates: whether the ego's policy gets the environment, with vehicles of its traffic's class.
-            ends: whether the environment's own ends end runs.
+            simulates: whether the policy receives the environment, with vehicles of its traffic's class.
+            ends: whether the environment can end runs.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
         is_read = ends and not type(self.unwrapped).__module__.startswith("highway_env.")
@@ -599,19 +567,16 @@ class GymEnvironment:
             elif name == "initial_lane_id" and is_straight and given[name] is not None:
                 told = f"write ego_lane={given[name]!r:.20}"
             elif name == "offroad_terminal" and is_straight and given[name] and not ends:
-                told = "runs on a straight road go on, and run.off_road says that the ego left it"
+                told = "runs on a straight road continue, and run.off_road reports that the ego left it"
             elif name in ("offroad_terminal", "terminate_off_road") and not is_straight and not given[name]:
-                told = "runs on this road end where the ego leaves it"
+                told = "runs on this road end when the ego leaves it"
             if told:
                 found.setdefault(told, []).append(name)
         return found
 
     @property
     def whole_config(self) -> dict[str, Any]:
-        """All options of the environment; the traffic options have their values from before traffic was switched off.
-
-        Options that are not plain data are left out.
-        """
+        """All JSON-compatible options of the environment, with the original values of the traffic options."""
         env = self.unwrapped
         values = {**env.default_config(), **self._given_config}
         values |= {name: env.config[name] for name in values if name in env.config and name not in REPLACED}
@@ -623,13 +588,12 @@ class GymEnvironment:
 
     @property
     def _given_config(self) -> dict[str, Any]:
-        """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
+        # As in gymnasium, the user's configuration replaces the registered one.
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
 
 
 def _plain_state(env: Any) -> dict[str, str]:
-    """Return the attributes of an environment and of its ego that are plain data, each as a text."""
     owners = (("", env), ("vehicle.", env.vehicle))
     return {
         f"{owner}{name}": repr(value)
@@ -640,7 +604,7 @@ def _plain_state(env: Any) -> dict[str, str]:
 
 
 def _beginning(outer: Any) -> dict[str, str]:
-    """Return what a run reads of an environment after a reset, as texts by name."""
+    # All that a run reads of an environment after a reset, as strings by name.
     env = outer.unwrapped
     replaced = (*TRAFFIC_OPTIONS, *REPLACED)
     found = {f"config[{name!r}]": repr(value) for name, value in env.config.items() if name not in replaced}
@@ -656,10 +620,7 @@ def _beginning(outer: Any) -> dict[str, str]:
 
 
 def _assigned(cls: Any, name: str) -> list[str]:
-    """Return the attributes that a method of the user's own assigns to in its source, if that is there.
-
-    Methods of the same object that it calls are included.
-    """
+    # Including methods of the same object that it calls. Without a source, there are none.
     found, names = dict[str, None](), [name]
     for called in names:
         functions = [vars(each).get(called) for each in cls.__mro__]
@@ -678,7 +639,7 @@ def _assigned(cls: Any, name: str) -> list[str]:
 
 
 def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
-    """Return the solid objects on an environment's road: x [m], y [m], heading [rad], length and width [m]."""
+    """Return the solid objects on a road: x [m], y [m], heading [rad], length and width [m]."""
     found = []
     for each in env.road.objects:
         if each.solid:
@@ -688,12 +649,12 @@ def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ..
 
 
 def has_own_act(road: Any) -> bool:
-    """Return whether a road controls its vehicles by an ``act`` of the user's own."""
+    """Return whether a road controls its vehicles with a user's ``act``."""
     return type(road).act is not Road.act or "act" in vars(road)
 
 
 def wrapper_names(env: Any) -> list[str]:
-    """Return the class names of an environment's wrappers that are not in :data:`NEUTRAL`, the innermost first."""
+    """Return the class names of an environment's wrappers, the innermost first, without gymnasium's own."""
     return [type(each).__name__ for each in wrappers_of(env) if type(each) not in NEUTRAL]
 
 
@@ -708,12 +669,9 @@ def wrappers_of(env: Any) -> list[Any]:
 
 @contextmanager
 def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
-    """Undo all changes that are made to constants of highway-env's vehicle classes in a ``with`` block.
+    """Undo all changes of constants of highway-env's vehicle classes in a ``with`` block.
 
-    After the block, what it yields has the new constants by class.
-
-    intersection-v0 sets the IDM's distances on the class itself, and so for every other environment of the process.
-    Without this function, making that environment once would change how every later IDM ego drives.
+    After the block, the yielded mapping contains the new constants by class.
     """
     classes, queue = set(), [Vehicle]
     while queue:
@@ -735,8 +693,7 @@ def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
                     setattr(cls, name, value)
 
 
-def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
-    """Put further wrappers around an environment, the first one innermost."""
+def _wrap(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
     outer = env
     for index, wrapper in enumerate(wrappers):
         expected = f"wrappers[{index}]: expected a callable that takes an environment and returns it wrapped"
@@ -751,7 +708,7 @@ def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
 
 
 def _creator(env_id: str) -> Any:
-    """Return the class of a registered environment, or the function that makes it."""
+    # Returns the class of a registered environment, or the function that makes it.
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
         entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
@@ -762,8 +719,8 @@ def _creator(env_id: str) -> Any:
         )
         meant = f"; did you mean {near[0]!r}?" if near else ""
         fix = (
-            f"highway-env's straight roads are {', '.join(known)}; import the module that registers an environment of "
-            f"your own first, as `--world module:id` does, or write {OTHER_KIND}{meant}"
+            f"highway-env's straight roads are {', '.join(known)}; for your own environment, "
+            f"import the module that registers it first, as `--world module:id` does, or write {OTHER_KIND}{meant}"
         )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
@@ -779,7 +736,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Refuse values with which highway-env would take minutes; options with an unknown meaning are not checked."""
+    """Reject values with which highway-env would take minutes. Options of unknown meaning are not checked."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -789,7 +746,7 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     _check_size("config", given)
     if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
         expected, received = f"at most {MOST_NUMBERS} numbers", f"about {numbers:.0f}"
-        fix = "give it fewer features, parts or images, or larger cells"
+        fix = "use fewer features, parts or images, or larger cells"
         raise WorldError(field="config.observation", expected=expected, received=received, fix=fix)
 
 
@@ -811,7 +768,7 @@ def _check_size(place: str, config: Any) -> None:
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """Return the limit that an option's value, or an entry of its list, violates; an empty text if none."""
+    """Return the limit that an option's value, or an entry of its list, violates; an empty string if none."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
@@ -824,12 +781,10 @@ def _exceeded(name: str, value: Any) -> str:
 
 
 def _length(value: Any, default: int) -> int:
-    """Return the length of a list, text or mapping, which highway-env treats alike; ``default`` for other values."""
     return len(value) if isinstance(value, (list, tuple, str, Mapping)) else default
 
 
 def _cells(grid: Mapping[str, Any]) -> float:
-    """Return the number of cells of an occupancy grid; infinite if it does not have highway-env's two dimensions."""
     size, step = grid.get("grid_size"), grid.get("grid_step")
     try:
         (low_x, high_x), (low_y, high_y) = ((-27.5, 27.5), (-27.5, 27.5)) if size is None else size
@@ -840,7 +795,7 @@ def _cells(grid: Mapping[str, Any]) -> float:
 
 
 def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
-    """Estimate how many numbers highway-env computes for an observation, unless a different limit bounds its kind."""
+    # An estimate, without the kinds of observations for which there are other limits.
     if not isinstance(observation, Mapping):
         return 0.0
 
@@ -864,7 +819,6 @@ def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
 
 
 def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
-    """Refuse misspelt options, text for numbers, more than one ego, and an ego that a keyboard drives."""
     default = env.default_config()
     unknown = sorted(set(given) - set(default))
     if unknown:
@@ -878,7 +832,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
         fix = "the other vehicles are the NPCs"
         raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
     if env.config.get("manual_control"):
-        expected, fix = "False, because the policy drives", "leave it out"
+        expected, fix = "False, because the policy drives", "omit it"
         received = repr(env.config["manual_control"])
         raise WorldError(field="config.manual_control", expected=expected, received=received, fix=fix)
     for name, module in (("observation", observation), ("action", action)):
@@ -888,7 +842,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
-    """Refuse options of observations and actions, also of nested ones, that highway-env would ignore."""
+    """Reject options of observations and actions that highway-env would ignore, including nested ones."""
     if isinstance(given, list):
         for index, inner in enumerate(given):
             _check_names(f"{place}[{index}]", inner, known)
@@ -908,20 +862,14 @@ def _hint(name: str, known: Collection[str], all_are: str) -> str:
 
 
 def _options(module: Any) -> set[str]:
-    """Return the options that any class of observations or actions in a module accepts.
-
-    Each class also accepts the options of all others, and highway-env's own configurations rely on that.
-    """
+    # Each class also accepts the options of all others, and highway-env's own configurations rely on that.
     kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
     taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
     return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
 
 
-def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
-    """Make an environment in its registered wrappers.
-
-    The environment is reset with seed 0, because its road and its start may be random.
-    """
+def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
+    # Reset with seed 0, because the road and the start may be random.
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
     if not has_traffic:
@@ -941,7 +889,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace plain data that equals a default of the environment by that default, such as a list by a tuple."""
+    """Replace values that equal a default of the environment by that default, such as a list by a tuple."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

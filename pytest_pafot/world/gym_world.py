@@ -1,4 +1,4 @@
-"""A world that takes road, observations, actions and frequencies from a registered highway-env environment."""
+"""A world with the road, observations, actions and rates of a registered highway-env environment."""
 
 from __future__ import annotations
 
@@ -39,39 +39,35 @@ if TYPE_CHECKING:
 
 Ends = Literal["environment", "duration"]
 ENDS: tuple[Ends, ...] = get_args(Ends)
-"""What may end runs in an environment besides their events: also its own ends, or their duration alone."""
 
+# The duration of a run in the paper [s]. It is the default if an environment specifies none, and on curved roads.
 LONGEST_RUN = 60.0
-"""The paper's duration of a run [s]. It is the default if an environment states no duration, and on roads that are not
-straight, where runs last longer only with ``duration=``."""
 
 
 @dataclass(frozen=True)
 class World(BaseWorld):
     """A world on the road of a registered gymnasium environment that derives from highway-env's ``AbstractEnv``.
 
-    The ADS is a callable from the environment's own observation to the environment's own action. Its factory may have a
-    parameter ``env``, for a planner that simulates inside the environment. The ADS may also be a highway-env vehicle
-    class, which drives itself, or with ``planner_hz`` a planner in SI units, as in :class:`pytest_pafot.Highway`. The
-    NPCs replace the environment's random traffic.
+    The policy receives the observations of the environment and returns its actions. Its factory may have a parameter
+    ``env``, for a planner that simulates inside the environment. The policy may also be a highway-env vehicle class,
+    which drives itself. With ``planner_hz``, it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The NPCs
+    replace the environment's random traffic.
 
     Attributes:
-        env_id: its registered id, such as ``"highway-v0"``.
-        config: as for ``gymnasium.make(env_id, config=config)``.
-        duration: the longest duration of a run [s]; by default the environment's own ``duration``, on a road that is
-            not straight at most 60 s.
+        env_id: id of the registered environment, such as ``"highway-v0"``.
+        config: options of the environment, as in ``gymnasium.make(env_id, config=config)``.
+        duration: longest duration of a run [s]. The default is the ``duration`` of the environment, but at most 60 s on
+            a curved road.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
-        wrappers: callables that take an environment and return it wrapped, the first one innermost. Required if the
+        wrappers: functions that take an environment and return it wrapped, the innermost first. Required if the
             environment is registered with wrappers.
-        planner_hz: decisions per second of a planner as in :class:`pytest_pafot.Highway`; a divisor of the
-            environment's ``simulation_frequency``. None for the environment's own observation and action.
+        planner_hz: decisions of a planner per second, a divisor of the ``simulation_frequency``. None for a policy with
+            the observations and actions of the environment.
         lasts, ego: as in :class:`pytest_pafot.Highway`.
-        ends: ``"environment"`` if a run also ends where the environment ends an episode, by ``_is_terminated``,
-            ``_is_truncated``, wrappers or a limit of steps; ``"duration"`` if it goes on.
+        ends: ``"environment"`` if a run also ends when the environment ends an episode; ``"duration"`` if it continues.
 
     Raises:
-        WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
-            :meth:`check`.
+        WorldError: if an argument cannot be used. The environment itself is made at the first use, or by :meth:`check`.
     """
 
     env_id: str
@@ -119,7 +115,7 @@ class World(BaseWorld):
         """Make the environment now, to check that it can be used.
 
         Raises:
-            WorldError: if the environment cannot be used; the message says why.
+            WorldError: if it cannot be used. The message states why.
         """
         road, rules = self.road, self.rules
         self.limits.top_speed(road.speed_limit)
@@ -129,31 +125,21 @@ class World(BaseWorld):
             raise WorldError(field="duration", expected=expected, received=f"{rules.duration:g}")
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Check that the environment can be used and that a scenario fits it.
-
-        Raises:
-            ScenarioError: if the scenario does not fit; the error names the field.
-            WorldError: if the environment cannot be used.
-        """
         self.check()
         super().check_fits(scenario)
 
     @property
     def road(self) -> Road:
-        """The environment's road; if it is not straight, the ego's way through it."""
+        """The environment's road; if it is not straight, the ego's path through it."""
         return self.rules.road
 
     @property
     def lanes(self) -> int:
-        """The number of lanes; on a road that is not straight, the number of lanes along the ego's way."""
+        # Along the ego's path, if the road is not straight.
         return self.road.lane_count
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The kinds of roads without traffic, by how they meet the ego's way; empty if they are not known.
-
-        In a user-defined environment that overrides ``step``, any vehicle may drive on any road.
-        """
         environment = self.environment
         is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
         is_known = is_stock or not environment.steps_itself(drives_itself=False)
@@ -161,41 +147,39 @@ class World(BaseWorld):
 
     @property
     def speed_limit(self) -> float:
-        """The speed limit of the fastest lane [m/s]."""
+        # Of the fastest lane [m/s].
         return self.road.speed_limit
 
     @property
     def observation_space(self) -> Any:
-        """The gymnasium space of a policy's observations, after all wrappers; None for a planner in SI units."""
+        # After all wrappers. None for a planner in SI units.
         return None if self.planner_hz is not None else self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
-        """The gymnasium space of a policy's actions, before all wrappers; None for a planner in SI units."""
+        # Before all wrappers. None for a planner in SI units.
         return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
     def physics_hz(self) -> float:
-        """The physics ticks per second, the environment's ``simulation_frequency``."""
         return self.rules.physics_hz
 
     @property
     def ads_hz(self) -> float:
-        """The decisions per second: ``planner_hz`` if given, else the environment's ``policy_frequency``."""
         return self.rules.ads_hz
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario with a fresh ADS.
+        """Simulate a scenario with a new policy.
 
         Args:
-            scenario: the scenario to run; it is checked against this world.
-            ads_factory: a callable that returns the ADS. It is called once, with ``env=`` if it has such a parameter.
+            scenario: scenario to run.
+            ads_factory: function that returns the policy. It is called once, with ``env=`` if it has such a parameter.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
-            AdsFactoryError: if the factory returns nothing that can drive here.
+            AdsFactoryError: if the factory returns an object that cannot drive in this world.
             WorldError: if the environment cannot be used.
-            Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
+            Exception: any exception of the factory. An exception of the policy ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -203,7 +187,7 @@ class World(BaseWorld):
         if self.planner_hz is not None and policy.simulates:
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
-                "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
+                "sees a pafot.Observation; omit planner_hz= for planners that simulate inside the environment"
             )
         if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
             # In some environments policies need the environment's own steps, and vehicle classes do not.
@@ -214,6 +198,7 @@ class World(BaseWorld):
             self.environment.check_keeps_no_ego()
         if not drives_itself or self.rules.ends:
             self.environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot be of its class)
+        # An ego that acts through wrappers, or in an environment with its own `step`, needs complete episodes.
         has_wrappers = self.wrappers is not None and not drives_itself
         if has_wrappers or self.environment.episodes_itself(drives_itself=drives_itself):
             return self.rollout_in_gym(scenario, policy.factory)
@@ -229,12 +214,7 @@ class World(BaseWorld):
         return policies.rollout(self.environment, self.rules, scenario, policy, self._own_ends)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
-
-        Args:
-            scenario: the scenario, which must fit this world; to confirm a run, the ``executed`` of its trace.
-            ads_factory: a callable that returns the ADS; it is called once.
-        """
+        """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the environment."""
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
         is_planner = self.planner_hz is not None
@@ -247,7 +227,6 @@ class World(BaseWorld):
         return ends_beside(self.environment, rules, scenario, vehicles, guard)
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
-        """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
         is_planner, ends = self.planner_hz is not None, self.ends == "environment"
         return self.environment.without_effect(
             is_planner=is_planner, drives_itself=drives_itself, simulates=simulates, ends=ends
@@ -255,17 +234,13 @@ class World(BaseWorld):
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The environment's own methods that change its state, but are not called in runs, with what they change."""
         is_episode = self.wrappers is not None or self.environment.episodes_itself(drives_itself=False)
         left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
         asked = () if self.ends == "duration" else self.environment.own_ends
         return {name: changed for name, changed in left_out.items() if name not in asked}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
-
-        The data is complete: it includes the environment's own defaults, and the duration that follows from them.
-        Defaults that are not plain data are left out.
+        """Return data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
 
         Raises:
             WorldError: if the environment cannot be used.
@@ -281,23 +256,21 @@ class World(BaseWorld):
 
     @cached_property
     def environment(self) -> GymEnvironment:
-        """The object that makes and checks the environment; its first use imports highway-env."""
+        # Its first use imports highway-env.
         from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
 
         return GymEnvironment(self.env_id, self.config, self.wrappers, self.hang_limit)
 
     def make(self) -> Any:
-        """Make a fresh environment without traffic, in all its wrappers."""
+        """Make a new environment without traffic, in all its wrappers."""
         return self.environment.make()
 
     @property
     def network(self) -> Any:
-        """The road as a road network of highway-env."""
         return self.environment.network
 
     @property
     def stock_road(self) -> Any:
-        """The road as a road of highway-env without vehicles."""
         return self.environment.road()
 
     @cached_property
@@ -320,7 +293,7 @@ class World(BaseWorld):
             duration = min(duration, self._longest)
             surveyed = survey(env, self.env_id, self.limits, duration * TOP_SPEED)
             road = way = with_junction(env, surveyed, self.limits, self.ego)
-            if way.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
+            if way.ego_speed > 0:  # the run ends when an ego at its initial speed would reach the end of the road
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
         obstacles = self.environment.obstacles
@@ -340,25 +313,21 @@ class World(BaseWorld):
 
     @property
     def _wanted(self) -> float:
-        """The duration of a run on a straight road: ``duration``, else the environment's own [s]."""
+        # On a straight road: `duration`, or the environment's own [s].
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
-        """The longest duration of a run on a road that is not straight [s]."""
+        # On other roads [s].
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)
 
 
 def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of a world's actions, by their numbers; empty if they are no ``DiscreteMetaAction``.
-
-    Args:
-        world: the world as plain data, as a file has it.
-    """
+    """Return the names of a world's actions by their numbers; empty if they are not of type ``DiscreteMetaAction``."""
     config = world.get("config")
     given = config.get("action") if isinstance(config, Mapping) and not world.get("planner_hz") else None
     if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":

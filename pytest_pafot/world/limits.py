@@ -1,4 +1,4 @@
-"""The physical limits of NPCs, with which they drive like real vehicles, and defaults that all worlds share."""
+"""The physical limits of NPCs, and the default values of all worlds."""
 
 from __future__ import annotations
 
@@ -11,48 +11,47 @@ from typing import Any
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
 
+# The highest speed of highway-env's vehicles [m/s].
 TOP_SPEED = 40.0
-"""The highest speed of highway-env's vehicles [m/s]."""
+# The proportion of the lateral acceleration that is available for following a bend. The rest is left for control.
 BEND_SHARE = 0.8
-"""The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
+# The defaults of worlds: the gap between the ego and the cells ahead of and behind it [m], the time gap at which NPCs
+# start in these cells [s], and the wall-clock limit of a decision [s].
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
-"""The defaults of worlds: the gap between the ego and the cells ahead of it and behind it [m], the headway with which
-NPCs start in these cells [s], and the wall-clock time after which a decision of an ADS is interrupted [s]."""
+# Decisions of a planner per second, as on a Highway. If an episode has fewer ticks per second, it decides at each.
 PLANNER_HZ = 5
-"""The number of decisions of a planner per second, as on a Highway. In an episode with fewer ticks per second, it
-decides at every tick."""
+# The environment option for the lanes in which highway-env's IDM looks for other vehicles. Only egos of its class look
+# there.
 CONNECTED = "neighbour_vehicles_connected_lanes"
-"""The option of environments for the lanes in which highway-env's IDM looks for others; only egos of its class
-look there."""
+# The smallest and largest accepted value of each limit, and the reason for the error message. With other values, the
+# computation of an NPC's controls is not reliable.
 BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0, ""),
         "braking": (0.1, 100.0, ""),
         "jerk": (0.1, 1000.0, ""),
         "lateral_acceleration": (0.1, 100.0, ""),
-        "overspeed": (1.0, 8.0, ", so that target speeds up to the limit can be driven"),
+        "overspeed": (1.0, 8.0, ", so that NPCs can reach target speeds up to the limit"),
         "heading": (0.01, math.pi / 4, ", so that no NPC drives sideways"),
     }
 )
-"""The smallest and the largest accepted value of each limit, and a reason for the error message. With other values,
-the computation of an NPC's controls is not reliable."""
 
+# The limits that a vehicle type can have, too.
 OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
-"""The limits that a vehicle may have itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpcLimits:
-    """Hard limits of every NPC; they hold at every tick of every trace.
+    """Physical limits that every NPC obeys at every tick.
 
-    A vehicle may have lower ones of its own.
+    A vehicle type may have lower limits.
 
     Attributes:
         acceleration: strongest acceleration [m/s^2].
         braking: strongest deceleration, as a positive number [m/s^2].
-        jerk: largest change of acceleration per second [m/s^3]; exceeded only when an NPC stops.
-        lateral_acceleration: largest product of speed and turning rate [m/s^2], of the heading and of the course, the
-            direction of motion.
+        jerk: largest change of the acceleration per second [m/s^3]. An NPC that comes to a stop can exceed it.
+        lateral_acceleration: largest product of the speed and the turning rate of the heading or of the direction of
+            motion [m/s^2].
         overspeed: top speed as a multiple of the speed limit.
         heading: largest angle between an NPC and its lane [rad].
     """
@@ -69,7 +68,7 @@ class NpcLimits:
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
     def of(self, vehicle: VehicleType) -> NpcLimits:
-        """Return the limits of an NPC that is a given vehicle: of each limit, the lower one."""
+        """Return the limits of an NPC of a vehicle type: the lower one of each pair."""
         if vehicle is CAR:
             return self  # as below, in no time
         own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
@@ -83,47 +82,45 @@ class NpcLimits:
         """
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:
-            why = (
-                f"NPCs may drive {self.overspeed:g} times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s"
-            )
+            why = f"NPCs can reach {self.overspeed:g} times the limit, and vehicles in highway-env {TOP_SPEED:g} m/s"
             expected = f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
             raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed
 
 
+# Ends error messages for users whose simulator is not highway-env.
 OTHER_KIND = 'a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")'
-"""The way out for a user whose simulator is none of highway-env."""
 
+# The smallest and largest accepted rates: physics ticks, and decisions per second.
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
-"""The smallest and largest accepted number of physics ticks per second, and of decisions of an ADS per second."""
 
+# The largest accepted number of ticks in a run. With 8 NPCs, the record takes about 0.5 KB per tick.
 MOST_TICKS = 400_000
-"""The largest accepted number of ticks in a run. With 8 NPCs, the record of a run takes about 0.5 KB per tick."""
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """Return ``value`` as a float if it is from ``low`` to ``high``; else raise an error with both and ``why``."""
+    """Return ``value`` as a float, or raise an error with ``why`` if it is not a number from ``low`` to ``high``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
 
-def plainly(rate: float) -> float:
-    """Return a rate as an int if it is whole but for rounding, as in all traces of such rates, else as it is."""
+def whole_if_possible(rate: float) -> float:
+    """Return a rate as an int if it is whole except for rounding."""
     return round(rate) if abs(rate - round(rate)) < 1e-9 * rate else rate
 
 
 def whole_within(name: str, value: object, low: int, high: int) -> int:
-    """Return ``value`` as an int if it is a whole number from ``low`` to ``high``; else raise an error."""
+    """Return ``value`` as an int, or raise an error if it is not a whole number from ``low`` to ``high``."""
     expected = f"a whole number from {low} to {high}"
     return checked_whole(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def plain_data(name: str, value: Any) -> Any:
-    """Copy plain data in the form that a corpus file can hold: tuples and numpy arrays become lists."""
+    """Copy data in the form that a corpus file can contain: tuples and numpy arrays become lists."""
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):
-                raise WorldError(field=name, expected="text as keys", received=repr(key))
+                raise WorldError(field=name, expected="strings as keys", received=repr(key))
         return {key: plain_data(f"{name}.{key}", item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain_data(f"{name}[{index}]", item) for index, item in enumerate(value)]
@@ -131,19 +128,19 @@ def plain_data(name: str, value: Any) -> Any:
         return plain_data(name, value.tolist())
     if value is None or (isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value))):
         return value
-    expected = "plain data (numbers, text, lists, mappings), which a corpus file can hold"
+    expected = "JSON-compatible data (numbers, strings, lists, mappings), which a corpus file can contain"
     raise WorldError(field=name, expected=expected, received=repr(value))
 
 
 def check_ticks(duration: float, physics_hz: float) -> None:
-    """Refuse a duration [s] with more than :data:`MOST_TICKS` ticks, whose record would take too much memory."""
+    """Reject a duration [s] with more than ``MOST_TICKS`` ticks, because the record would take too much memory."""
     if duration * physics_hz > MOST_TICKS:
         expected = f"at most {int(MOST_TICKS / physics_hz)} s at {physics_hz:.6g} ticks a second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
-    """Refuse rates at which a decision does not last a whole number of ticks; arguments are pairs (name, rate)."""
+    """Reject two rates, each a pair (name, rate), if a decision does not last a whole number of ticks."""
     (physics_name, physics_hz), (ads_name, ads_hz) = physics, ads
     if physics_hz % ads_hz == 0:
         return

@@ -1,16 +1,12 @@
-"""The reference driver, which shows whether a careful driver in the ego's place gets through the same scenario.
+"""The reference driver, which shows whether a careful driver could have avoided a failure.
 
-It is a planner in SI units that decides at every physics tick and keeps its lane. It knows only what it sees, and
-neither the NPCs' plans nor the future. It is ``careful-human``, the competent and careful human driver of UN Regulation
-No. 157, annex 4, appendix 3 (01 series: annex 3): risk perception 0.4 s, delay 0.75 s, 0.774 g reached within 0.6 s.
+It decides at every physics tick, keeps its lane and knows only the observation. It is ``careful-human``, the competent
+and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series: annex 3).
 
-The regulation's model defines reactions to danger. Without danger, the regulation only requires a distance to the
-vehicle ahead (5.2.3.3). The driver keeps it by a headway of two seconds, and brakes gently as long as gentle braking
-suffices.
-
-At junctions, which the model does not cover, the driver approaches at a speed at which it can stop. It waits before the
-zone for each vehicle that would arrive after it by less than the critical headway of the Highway Capacity Manual
-(two-way stop, two-lane major road). For a vehicle that is in the way without priority, it brakes as in the regulation.
+The regulation's model only reacts to danger. In ordinary traffic, the regulation requires a distance (5.2.3.3), for
+which the driver keeps a headway of two seconds by gentle braking. At junctions, which the model does not cover, the
+driver waits for each vehicle that would arrive after it by less than the critical headway of the Highway Capacity
+Manual (two-way stop, two-lane major road).
 """
 
 from __future__ import annotations
@@ -30,81 +26,69 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
+# [m/s^2]
 GRAVITY = 9.81
-"""The gravitational acceleration [m/s^2]."""
+# From the perception of a risk until the brakes act (UN R157) [s].
 DELAY = 0.75
-"""The time from the perception of a risk until the brakes act (UN R157) [s]."""
+# A risk must last this long to be perceived (UN R157) [s].
 PERCEPTION = 0.4
-"""The time for which a risk must last before it is perceived (UN R157) [s]."""
+# Below this time to collision, a vehicle that cuts in is a risk; above this braking, a leader is (UN R157) [s, m/s^2].
 TIME_TO_COLLISION, LEADER_BRAKING = 2.0, 5.0
-"""The time to collision below which a vehicle that cuts in is a risk, and the braking above which one ahead is (UN
-R157) [s, m/s^2]."""
+# The largest offset from the lane's centre of a vehicle that keeps its lane. A larger one distinguishes a cut-in from
+# wandering (UN R157) [m].
 KEEPING = 0.375
-"""The largest offset from the lane's centre at which a vehicle keeps its lane; a larger one distinguishes a cut-in from
-wandering (UN R157) [m]."""
+# The deceleration of hard braking (UN R157) [m/s^2].
 HARD_BRAKING = 0.774 * GRAVITY
-"""The deceleration of hard braking (UN R157) [m/s^2]."""
+# The time in which hard braking builds up (UN R157) [s].
 BUILD_UP = 0.6
-"""The time in which hard braking builds up (UN R157) [s]."""
 
+# To the vehicle ahead [s].
 HEADWAY = 2.0
-"""The headway that a driver keeps to the vehicle ahead [s]."""
+# To a stationary vehicle ahead [m].
 STANDSTILL_GAP = 3.0
-"""The gap that a driver keeps to a standing vehicle ahead [m]."""
+# The hardest braking that drivers call comfortable (Mattas et al., Accident Analysis and Prevention 148, 2020) [m/s^2].
 GENTLE_BRAKING = 4.0
-"""The hardest braking that drivers call comfortable (Mattas et al., Accident Analysis and Prevention 148, 2020)
-[m/s^2]."""
+# The highest acceleration of a calm driver [m/s^2].
 GENTLE_ACCELERATION = 1.5
-"""The highest acceleration of a calm driver [m/s^2]."""
+# Braking for each metre by which the gap to the vehicle ahead is too small [1/s^2].
 GAP_GAIN = 0.25
-"""The braking for each metre by which the gap to the vehicle ahead is too small [1/s^2]."""
+# Braking for each m/s by which the ego is faster than the vehicle ahead [1/s].
 CLOSING_GAIN = 0.8
-"""The braking for each m/s by which the ego is faster than the vehicle ahead [1/s]."""
+# Acceleration for each m/s by which the ego is slower than desired [1/s].
 SPEED_GAIN = 0.5
-"""The acceleration for each m/s by which the ego is slower than desired [1/s]."""
 
+# The critical headways of a left turn from the major road, and of a right and a left turn from the minor road (Highway
+# Capacity Manual) [s]. The driver waits for a vehicle that would arrive within this time after the driver's own entry.
 CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
-"""The critical headways of a left turn from the major road, and of a right and a left turn from the minor road (Highway
-Capacity Manual) [s]. The driver waits for a vehicle that would arrive within this time after the driver's own entry.
-"""
+# The distance between a waiting driver and the zone [m].
 LINE = 1.0
-"""The distance between a waiting driver and the zone [m]."""
+# The driver starts to stop before a zone at this required braking: the comfortable braking of Treiber et al. (2000)
+# [m/s^2].
 STOPPING = 2.0
-"""The required braking at which a driver begins to stop before a zone: the comfortable braking of Treiber et al. (2000)
-[m/s^2]."""
+# Predictions of arrivals at a zone assume at least this speed, because a slow or stationary vehicle may set off [m/s].
 CREEPING = 2.0
-"""The least speed that predictions of arrivals at a zone assume, because a slow or standing vehicle may set off [m/s].
-"""
+# A vehicle that has been slower than this speed [m/s] for this time [s] is assumed to let others go first.
 STANDING, PATIENCE = 0.3, 2.0
-"""A speed [m/s] and a time [s]: a vehicle that has been slower than this speed for this time is assumed to let others
-go first."""
+# The smallest time from a vehicle's exit out of a zone to the driver's entry [s].
 CLEAR = 0.5
-"""The least time from a vehicle's exit out of a zone to the driver's entry [s]."""
 
+# The tolerance of comparisons of times. Without it, rounding could delay a reaction by a tick [s].
 EPSILON = 1e-6
-"""The tolerance of comparisons of times, so that rounding delays nothing by a tick [s]."""
 
+# Steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
-"""The steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
-"""
+# The driver watches for this time before it takes over [s]. It is long enough to notice every vehicle.
 WATCHED = 6.0
-"""The time for which a reference driver watches before it takes over [s], long enough to notice every vehicle."""
 
 
 class Leader(NamedTuple):
-    """A vehicle ahead of the ego. Some are made in each tick, and a named tuple is made faster than a dataclass.
+    """A vehicle ahead of the ego."""
 
-    Attributes:
-        gap: the distance between the two boxes along the road [m]; negative if they overlap.
-        speed: the vehicle's speed along the road [m/s].
-        closing: the ego's speed minus the vehicle's speed [m/s].
-        braking: the vehicle's deceleration [m/s^2].
-    """
-
-    gap: float
-    speed: float
-    closing: float
-    braking: float
+    # A named tuple, because it is created faster than a dataclass, and there are some in each tick.
+    gap: float  # between the two boxes along the road [m], negative if they overlap
+    speed: float  # along the road [m/s]
+    closing: float  # the ego's speed minus the vehicle's speed [m/s]
+    braking: float  # deceleration [m/s^2]
 
     @property
     def time_to_collision(self) -> float:
@@ -121,39 +105,34 @@ class Leader(NamedTuple):
 
 @dataclass(slots=True)
 class ReferenceDriver(ABC):
-    """The base class of all reference drivers, which keep their lane and react to the vehicles ahead.
+    """The base class of reference drivers, which keep their lane and react to the vehicles ahead."""
 
-    Attributes:
-        now, step: the time of the observation, and the time since the previous observation [s].
-        since: for each condition that holds now, the time at which it began to hold [s].
-        lane: the lane that the driver keeps.
-        wanted: the speed that the driver desires [m/s].
-        acceleration: the acceleration of the last decision, from which braking builds up [m/s^2].
-        own_speed, own_half: the ego's speed along the road [m/s], and half of its length along the road [m].
-        speeds, brakings: the speeds along the road [m/s] and decelerations [m/s^2] of the other vehicles.
-        places, drifts: the other vehicles' y [m], and their speeds to the right [m/s].
-    """
-
+    # [m/s^2]
     HARDEST = HARD_BRAKING
-    """The hardest braking [m/s^2]."""
+    # The jerk with which braking builds up [m/s^3].
     JERK = HARD_BRAKING / BUILD_UP
-    """The jerk with which braking builds up [m/s^3]."""
 
+    # The time of the observation, and the time since the previous one [s].
     now: float = 0.0
     step: float = 0.0
+    # For each condition that is true now, the time since when it has been true [s].
     since: dict[str, float] = field(default_factory=dict)
+    # The lane that the driver keeps, and the desired speed [m/s].
     lane: int = 0
     wanted: float | None = None
+    # The acceleration of the last decision, from which braking builds up [m/s^2].
     acceleration: float = 0.0
+    # Speed [m/s] and half of the length [m] of the ego along the road.
     own_speed: float = 0.0
     own_half: float = 0.0
+    # Of the other vehicles: speeds along the road [m/s], decelerations [m/s^2], y [m], and speeds to the right [m/s].
     speeds: tuple[float, ...] = ()
     brakings: tuple[float, ...] = ()
     places: tuple[float, ...] = ()
     drifts: tuple[float, ...] = ()
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return the driver's acceleration [m/s^2] and steering [rad]."""
+        """Return an acceleration [m/s^2] and a steering angle [rad]."""
         ego, others = observation.ego, observation.others
         speeds, places = tuple([_along(other) for other in others]), tuple([other.y for other in others])
         self.own_speed, self.own_half = _along(ego), _half_length(ego)
@@ -175,13 +154,13 @@ class ReferenceDriver(ABC):
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
-        """Observe while a different driver drives the ego; adopt the ego's lane and its highest speed so far."""
+        """Observe another driver of the ego; adopt its lane and its highest speed so far."""
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     def at_junction(self, observation: Observation) -> float:
-        """Return the highest acceleration that vehicles on other ways allow [m/s^2]; infinite if there are none."""
+        """Return the highest acceleration that vehicles on other paths allow [m/s^2]; infinite if there are none."""
         if not observation.crossing:
             return math.inf
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
@@ -211,7 +190,7 @@ class ReferenceDriver(ABC):
         return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether the driver waits before a zone, for a vehicle to pass or for room beyond the zone."""
+        """Return whether the driver waits before a zone, for a vehicle to pass or for room behind the zone."""
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
@@ -228,7 +207,7 @@ class ReferenceDriver(ABC):
         return leaves + CLEAR > enters and arrives < enters + CRITICAL[other.zone.kind]
 
     def is_queue_behind(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether a slow vehicle beyond a zone leaves too little room for the ego to clear the zone."""
+        """Return whether a slow vehicle behind a zone leaves too little room for the ego to clear the zone."""
         ego = observation.ego
         room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
         leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
@@ -239,14 +218,14 @@ class ReferenceDriver(ABC):
         """Return the acceleration that the driver wants now [m/s^2]."""
 
     def held(self, condition: str, holds: bool) -> float:
-        """Return the time for which a condition has held without a break [s]; minus infinity if it does not hold."""
+        """Return how long a condition has been true without a break [s]; minus infinity if it is false."""
         if not holds:
             self.since.pop(condition, None)
             return -math.inf
         return self.now - self.since.setdefault(condition, self.now)
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
-        """Return an observed vehicle as a leader, in whatever lane; None if its centre is not ahead of the ego's."""
+        """Return a vehicle in any lane as a leader, or None if its centre is not ahead of the ego's centre."""
         ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
@@ -254,12 +233,10 @@ class ReferenceDriver(ABC):
         return Leader(gap, speed, self.own_speed - speed, self.brakings[index])
 
     def cruise(self, speed: float) -> float:
-        """Return the acceleration towards the desired speed [m/s^2]."""
         missing = (self.wanted or 0.0) - speed
         return max(min(SPEED_GAIN * missing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
     def follow(self, speed: float, leader: Leader) -> float:
-        """Return the gentle acceleration that brings the ego to its headway behind a vehicle [m/s^2]."""
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
         return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
@@ -268,27 +245,22 @@ class ReferenceDriver(ABC):
 class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
-    Another vehicle matters once it is in the ego's way, or moves towards it with at least 0.3 m/s and has left the
-    centre of its lane by more than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder
-    than 5 m/s^2 and is nearer than a headway of two seconds and 3 m. The driver needs 0.4 s to perceive it and 0.75 s
-    to brake. It then brakes with up to 0.774 g until no danger is left. Without danger, the driver needs the same times
-    before it increases the gap to a new vehicle ahead; afterwards it reacts to that vehicle at once.
-
-    The 0.75 s are also the time in which the foot moves back from the brake to the accelerator. Until then, the driver
-    does not speed up. What begins to matter or to be a danger in that time is answered as soon as it is perceived, and
-    so is a vehicle that becomes a danger while the driver moves the foot, or brakes gently, for it. The regulation, in
-    which one vehicle comes in and the driver brakes once, says nothing about this.
+    The driver needs 0.4 s to perceive a danger and 0.75 s to brake, and then brakes with up to 0.774 g until the danger
+    is over. Without danger, it needs the same times before it reacts to a new vehicle ahead.
     """
 
     brakes_from: float = math.inf
     braked: float = -math.inf
 
     def wish(self, observation: Observation) -> float:
-        """Return the acceleration that the driver wants now [m/s^2]."""
+        # The 0.75 s of the regulation are also the time in which the foot moves back from the brake to the accelerator.
+        # Until then, the driver does not speed up, and reacts to a new danger as soon as it perceives it. The
+        # regulation, in which one vehicle cuts in and the driver brakes once, does not cover this case.
         ego = observation.ego
         if self.acceleration <= -BRAKES:
             self.braked = self.now
         foot = self.held("foot at the brake", self.now - self.braked < DELAY - EPSILON)
+        # `calm` is the acceleration without danger: the lowest one that any leader allows.
         calm, is_over = self.cruise(ego.speed), True
         if foot >= 0:
             calm = min(calm, 0.0)
@@ -297,6 +269,7 @@ class CarefulHuman(ReferenceDriver):
             is_known = f"noticed {index}" in self.since
             if leader is not None and not matters_to(ego, other, self.drifts[index], observation.lane_width, is_known):
                 leader = None
+            # How long the vehicle has mattered, has been a danger, and has required gentle braking.
             noticed = self.held(f"noticed {index}", leader is not None)
             critical = leader is not None and leader.is_critical
             danger = self.held(f"danger {index}", critical)
@@ -315,6 +288,7 @@ class CarefulHuman(ReferenceDriver):
                 calm = min(calm, follow)
             elif noticed >= PERCEPTION - EPSILON and follow < 0:
                 calm = min(calm, 0.0)  # the foot has left the accelerator, but is not yet on the brake
+        # Hard braking ends when no vehicle is critical and the ego is not faster than any of its leaders.
         if is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf
         if self.brakes_from < math.inf:
@@ -323,10 +297,9 @@ class CarefulHuman(ReferenceDriver):
 
 
 class RecordedBody(Body):
-    """The ego of a recorded run: it repeats the recorded states up to a tick, and afterwards obeys its controls.
+    """The ego of a recorded run, which repeats the recorded states up to a tick and then obeys its controls.
 
-    The states up to the tick are equal to the last bit for every kind of ADS. Repeating the ADS's decisions instead
-    would achieve that only for planners.
+    With states, all kinds of policies repeat to the last bit; with decisions, only planners would.
     """
 
     def __init__(self, trace: Trace, tick: int) -> None:
@@ -334,7 +307,6 @@ class RecordedBody(Body):
         self._rows = iter(trace.ego[1 : tick + 1].tolist())
 
     def step(self, dt: float) -> None:
-        """Take the state of the next recorded tick; after the last recorded tick, move like any body."""
         row = next(self._rows, None)
         if row is None:
             super().step(dt)
@@ -345,13 +317,12 @@ class RecordedBody(Body):
 
 @dataclass(slots=True)
 class Relief:
-    """A reference driver that takes over at ``time`` [s]; shortly before, it only watches."""
+    """A reference driver that takes over at ``time`` [s] and only watches shortly before."""
 
     driver: ReferenceDriver
     time: float
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return the driver's acceleration [m/s^2] and steering [rad]; zeros before it takes over."""
         if observation.time >= self.time:
             return self.driver(observation)
         if observation.time >= self.time - WATCHED:
@@ -359,16 +330,17 @@ class Relief:
         return 0.0, 0.0
 
 
+# By name, the factories of drivers that can be the policy of a search, and take over during a run.
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CAREFUL: CarefulHuman})
-"""The factory of the reference driver by its name; it can be the ADS of a search, and take over during a run."""
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
     """Return whether a vehicle is in the ego's way, or visibly leaves its lane towards the ego.
 
-    ``drift`` is the vehicle's speed to the right [m/s]. A vehicle that has mattered before (``is_known``) still matters
-    while it pauses over the lane's line.
+    ``drift`` is the vehicle's speed to the right [m/s].
     """
+    # In the ego's way: the boxes overlap across the road. Otherwise, the vehicle must have left the centre of its lane
+    # and move towards the ego. One that has mattered before still does while it pauses over the line.
     if _apart(ego, other) <= 0:
         return True
     side = 1.0 if ego.y > other.y else -1.0
@@ -393,5 +365,4 @@ def _half_width(vehicle: VehicleState) -> float:
 
 
 def _apart(ego: VehicleState, other: VehicleState) -> float:
-    """Return the distance between the boxes across the road [m]; negative if they overlap."""
     return abs(ego.y - other.y) - _half_width(ego) - _half_width(other)

@@ -1,4 +1,4 @@
-"""The settings that all runs of a world share: road and rates, checks of scenarios, and starts of all vehicles."""
+"""The settings that all runs of a world share, checks of scenarios, and starts of all vehicles."""
 
 from __future__ import annotations
 
@@ -25,59 +25,52 @@ from pytest_pafot.world.roads.road import Pose, Road
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """The settings that all runs of a world share.
-
-    Attributes:
-        road: the road.
-        physics_hz, ads_hz: ticks and decisions per second.
-        duration: the longest duration of a run [s].
-        lasts: the duration of each run [s], whatever its scenario and ``duration`` say; None if they decide.
-        clearance: the gap between the ego and the cells ahead of it and behind it [m].
-        headway: the headway with which NPCs start ahead of the ego or behind it [s].
-        limits: the limits of every NPC.
-        ego: what vehicle the ego is.
-        hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
-        policy_hz: decisions of the policy per second; None for ``ads_hz``, which reference drivers change.
-        ends: the environment's own methods that may end a run, see ``OwnEnds``; None if only the duration ends it.
-        ends_in_steps: true if a step of the environment or of a wrapper may end a run, too, see ``EpisodeEnds``.
-        step_limit: the number of ticks after which a limit of the environment's steps ends a run; None without one.
-    """
+    """The settings that all runs of a world share."""
 
     road: Road
+    # Ticks and decisions per second.
     physics_hz: float
     ads_hz: float
+    # The longest duration of a run [s].
     duration: float
+    # The gap between the ego and the cells ahead of and behind it [m].
     clearance: float
+    # The time gap at which NPCs start ahead of or behind the ego [s].
     headway: float
     limits: NpcLimits
+    # The wall-clock time after which a decision is interrupted [s].
     hang_limit: float
     ego: VehicleType = CAR
+    # The duration of each run [s]; None if the scenario and `duration` decide.
     lasts: float | None = None
+    # Fixed objects: x [m], y [m], heading [rad], length and width [m].
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
+    # Decisions of the policy per second, if a reference driver changes `ads_hz`.
     policy_hz: float | None = None
+    # Methods of the environment that may end a run (`OwnEnds`); None if only the duration ends it.
     ends: tuple[str, ...] | None = None
+    # True if a step of the environment or a wrapper may also end a run (`EpisodeEnds`).
     ends_in_steps: bool = False
+    # The number of ticks after which the environment's limit of steps ends a run.
     step_limit: int | None = None
 
     @property
     def step_ticks(self) -> int:
-        """The number of ticks of a step of the environment, which is as long as a decision of the policy under test."""
+        # A step of the environment lasts as long as a decision of the policy, even if a reference driver drives.
         return round(self.physics_hz / (self.policy_hz or self.ads_hz))
 
     @property
     def every(self) -> int:
-        """The number of ticks between decisions."""
         return round(self.physics_hz / self.ads_hz)
 
     @property
     def crossings(self) -> Crossings | None:
-        """The zones and ways for Crossing-Instructions; None if no other way meets the ego's way."""
+        """The zones and paths for Crossing-Instructions, or None if no other path meets the ego's path."""
         return self.road.crossings
 
     @property
     def ego_start(self) -> float:
-        """The ego's place along the road at the start [m]."""
+        """The position of the ego along the road at the start [m]."""
         return self.road.ego_start(self.headway, self.clearance)
 
     def ego_position(self, scenario: Scenario) -> Pose:
@@ -85,19 +78,18 @@ class Rules:
         return self.road.position(self.ego_start, scenario.ego_lane, self.ego)
 
     def ego_speed(self, scenario: Scenario) -> float:
-        """Return the first speed of the ego, and of NPCs that start as fast as it [m/s]: no more than it reaches."""
+        # NPCs that start as fast as the ego use this speed, too. It is at most the ego's top speed [m/s].
         return min(scenario.ego_speed, self.ego.top_speed)
 
     def start_distance(self, scenario: Scenario, ego_length: float) -> float:
-        """Return the distance between the centres of the ego and of cars that start ahead or behind [m]."""
+        # Between the centres of the ego and of cars that start ahead of or behind it [m].
         return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
     def start_cells(self, scenario: Scenario, ego_length: float) -> frozenset[Cell]:
-        """Return the cells in which an NPC may start."""
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
-        """Make the director of the NPCs for one run around an ego of the given length [m]."""
+        """Return the director of the NPCs for one run around an ego of the given length [m]."""
         return self.road.director(
             scenario,
             self.limits,
@@ -108,10 +100,10 @@ class Rules:
         )
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Refuse a scenario that does not fit this world.
+        """Reject a scenario that does not fit this world.
 
         Raises:
-            ScenarioError: for a value that does not fit; the error names the field.
+            ScenarioError: if it does not fit. The error names the field.
         """
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
@@ -139,18 +131,17 @@ class Rules:
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
 
     def _check_vehicles(self, scenario: Scenario) -> None:
-        """Refuse a vehicle that is too long for the bends of its way."""
         for npc, vehicle in enumerate(scenario.vehicles):
             crossing = scenario.crossings[npc] if scenario.crossings else None
             zone = None if crossing is None else crossing.zone
             if not self.road.can_drive(vehicle, zone):
                 expected = f"a vehicle that can follow the bends of {zone or 'the road'}"
                 least = vehicle.length / (TIGHTEST * CAR.length)
-                fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another way"
+                fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another path"
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
-        """Return a fixed object at the ego's start or, if the ego may start anywhere, within its headway; else None."""
+        """Return a fixed object at the ego's start, or within its headway if the ego may start anywhere."""
         gap = max(self.headway * speed, self.clearance) if self.road.prescribed is None else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
@@ -158,7 +149,7 @@ class Rules:
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
-        """Raise the error for a scenario whose ego would start at a fixed object, or too near to stop."""
+        """Raise the error for a scenario in which the ego would start at a fixed object, or too close to it to stop."""
         road, speed = self.road, scenario.ego_speed
         x, y, _ = road.position(self.ego_start, scenario.ego_lane)
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
@@ -167,19 +158,19 @@ class Rules:
             expected = f"no fixed object from {where} to {self.headway:g} s ahead of it at {speed:g} m/s"
             others = [lane for lane in road.start_lanes if lane != scenario.ego_lane]
             free = [lane for lane in others if self._at_start(lane, speed) is None]
-        received = f"lane {scenario.ego_lane}, with one at ({near[0]:.1f}, {near[1]:.1f}) m"
+        received = f"lane {scenario.ego_lane}, in which an object is at ({near[0]:.1f}, {near[1]:.1f}) m"
         fix = f"write ego_lane={free[0]}" if free else "put the environment's objects elsewhere"
         raise ScenarioError(field="ego_lane", expected=expected, received=received, fix=fix)
 
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings
         if crossings is None:
-            expected = "NPCs that do not cross, on a road on which no way of other traffic meets the ego's way"
+            expected = "NPCs that do not cross, because no other path meets the ego's path on this road"
             fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
             raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
         if instruction.zone not in crossings.ways:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
-            fix = "a way that starts with the ego's way, or does not meet it, has no zone"
+            fix = "a path that starts with the ego's path, or does not meet it, has no zone"
             raise ScenarioError(field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix)
         if crossings.fits(instruction):
             return
@@ -188,11 +179,11 @@ class Rules:
         slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
         fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "a different zone or speed"
         expected = (
-            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, so that the NPC starts on its way before the "
-            "zone"
+            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, so that the NPC starts on its path before "
+            "the zone"
         )
         received = (
-            f"{instruction.slot:g} s, with which the NPC would start at {crossings.start(instruction):.0f} m of its way"
+            f"{instruction.slot:g} s, so that the NPC would start at {crossings.start(instruction):.0f} m of its path"
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
@@ -211,7 +202,7 @@ class Rules:
                     raise ScenarioError(field=field, expected=expected, received=received)
 
     def ticks(self, scenario: Scenario) -> int:
-        """Return the number of physics ticks of a run that no collision or failure ends early."""
+        """Return the number of ticks of a run that nothing ends early."""
         seconds = min(self.duration, scenario.seconds) if self.lasts is None else self.lasts
         ticks = int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
         return ticks if self.step_limit is None else min(ticks, self.step_limit)
@@ -220,11 +211,9 @@ class Rules:
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
 ) -> tuple[list[float], list[tuple[float, float, float, float]]]:
-    """Return the places of all vehicles along their ways at tick 0 [m], the ego first; and each NPC's start.
+    """Return the positions of all vehicles along their paths at tick 0 [m], the ego first, and each NPC's start.
 
-    A start is x [m], y [m], heading [rad] and speed [m/s]. NPCs of cells 4 and 8 start next to the ego, those of other
-    cells in their cell's lane, ahead or behind by the headway. So there is no danger at the start, and all danger
-    results from driving. They start at the ego's speed, or slower where the road or their own top speed requires it.
+    A start is x [m], y [m], heading [rad] and speed [m/s].
     """
     road, start, apart = rules.road, rules.ego_start, rules.start_distance(scenario, ego_length)
     around = [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]

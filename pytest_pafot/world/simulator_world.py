@@ -1,4 +1,4 @@
-"""The world that drives scenarios in a simulator of the user's."""
+"""The world in which a user's simulator moves the vehicles."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from pytest_pafot.world.limits import (
     check_ticks,
     number_within,
     plain_data,
-    plainly,
+    whole_if_possible,
     whole_within,
 )
 from pytest_pafot.world.roads.road import Road, StraightRoad, ego_start
@@ -62,18 +62,18 @@ if TYPE_CHECKING:
         "ego": VehicleType | VehicleName, "hang_limit": float,
     }, total=False)  # fmt: skip
 
+# If a simulator states none [m].
 LANE_WIDTH = 4.0
-"""The width of lanes if a simulator states none [m]."""
 MOST_LANES = 12
-"""The largest number of lanes."""
+# The smallest length of a road [m].
 LEAST_LENGTH = 100.0
-"""The least length of a road [m]."""
+# A straight road must be long enough for this time at top speed [s]. If it is too short for `duration`, runs end there.
 LEAST_RUN = 20.0
-"""The time for which a straight road must last at top speed [s]; the runs of a shorter one end where it ends."""
+# The length of road behind the ego's start if a simulator does not state where it starts [m].
 ROOM_BEHIND = 150.0
-"""The length of a road behind the ego's start if a simulator does not say where it starts [m]."""
 
 
+# Names that users may confuse with attributes of a simulator, and what to write instead.
 OTHER_NAMES = {
     "at_front": 'reference = "front"',
     "from_north": 'headings = "y to x"',
@@ -85,24 +85,23 @@ OTHER_NAMES = {
     "lane_count": "lanes",
     "max_speed": "speed_limit",
 }
-"""Other names for what a simulator may state, with what to write."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatorWorld(BaseWorld):
-    """A world in which a simulator of the user's moves all vehicles; see :class:`pytest_pafot.Simulator`.
+    """A world in which the user's simulator moves all vehicles; see :class:`pytest_pafot.Simulator`.
 
     The ADS is a planner, as in :class:`pytest_pafot.Highway`: a callable from :class:`pytest_pafot.Observation` to
     ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`. If the simulator is ``native``, it is a
     callable from what the simulator observes to an action of the simulator.
 
     Attributes:
-        simulator: the class of the simulator, or a function without parameters that makes one.
-        ads_hz: decisions of the ADS per second; the simulator's ticks per second divided by a whole number. None for 5,
-            or for the next larger one.
-        duration: the longest duration of a run [s].
-        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. A method
-            of the simulator may take ten times ``hang_limit``, and a minute in any case.
+        simulator: class of the simulator, or a function without parameters that creates one.
+        ads_hz: decisions of the policy per second: the ticks per second divided by a whole number. The default is 5, or
+            the next higher possible value.
+        duration: longest duration of a run [s].
+        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. A method of the
+            simulator may take ten times ``hang_limit``, but at least a minute.
 
     Raises:
         WorldError: if a value cannot be used. The simulator itself is made and checked at the first use.
@@ -120,27 +119,26 @@ class SimulatorWorld(BaseWorld):
 
     def __post_init__(self) -> None:
         if isinstance(self.simulator, Simulator) or not callable(self.simulator):
-            expected = "the class of a pafot.Simulator, or a function without parameters that makes one"
+            expected = "the class of a pafot.Simulator, or a function without parameters that creates one"
             name = type(self.simulator).__name__
             fix = f"write pafot.SimulatorWorld({name}), or functools.partial({name}, ...) with its arguments"
             raise WorldError(field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix)
         if self.ads_hz is not None:
-            object.__setattr__(self, "ads_hz", plainly(number_within("ads_hz", self.ads_hz, *ADS_HZ)))
+            object.__setattr__(self, "ads_hz", whole_if_possible(number_within("ads_hz", self.ads_hz, *ADS_HZ)))
         object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
         self._check_fields()
 
     @cached_property
     def simulators(self) -> Simulators:
-        """The simulators of this world in this process: runs take one, and give it back."""
+        """The simulators of this world in this process. Runs take one and give it back."""
         return Simulators(self.simulator)
 
     @cached_property
     def _stated(self) -> _Stated:
-        """The checked statements of the simulator, in SI units and the axes of a run."""
         simulators = self.simulators
         made = simulators.take()
         try:
-            stated = _stated(made)
+            stated = _check_statements(made)
         finally:
             simulators.give(made)
         return stated
@@ -152,17 +150,15 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def tick(self) -> float:
-        """The duration of a tick [s], if a second has no whole number of ticks; else 0."""
         return 0.0 if isinstance(self.physics_hz, int) else 1 / self.physics_hz
 
     @property
     def is_native(self) -> bool:
-        """True if the policy gets what the simulator observes."""
+        """True if the policy receives the observations of the simulator."""
         return self._stated.native
 
     @property
     def hides(self) -> bool:
-        """True if a vehicle can be hidden from the policy."""
         return not self.is_native or "hidden" in inspect.signature(self.maker.observe).parameters
 
     @property
@@ -172,7 +168,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def moves_ego_only(self) -> bool:
-        """True if the simulator moves the ego only, whose controls may take effect late or in part."""
+        """True if the simulator moves only the ego, so that controls may take effect late or in part."""
         return self._stated.moves_ego_only
 
     @property
@@ -183,27 +179,27 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def speed_limit(self) -> float:
-        """The speed limit [m/s]."""
         return self.road.speed_limit
 
     @property
     def road(self) -> Road:
-        """The road: straight, or the ego's way along lanes of any shape."""
+        """The road: straight, or the ego's path along lanes of any shape."""
         return self._on_road.road
 
     @cached_property
     def _on_road(self) -> _OnRoad:
-        """The road, the axes of the simulator on it, and how long runs can last there."""
         stated = self._stated
         self.limits.top_speed(stated.speed_limit)
         width, limit = stated.lane_width, stated.speed_limit
         ends = 2 * ego_start(self.headway, self.clearance)
         lines = self._lines
         if lines is None:
+            # A straight road without an end is as long as a run needs, even if it is continued.
             length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
             return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
         from pytest_pafot.world.roads.survey import network_of, straight_along  # noqa: PLC0415  (not in each world)
 
+        # Parallel straight lines that are long enough for a run are also a straight road.
         if (found := straight_along(lines, width)) is not None:
             origin, length = found
             longest = (length - ends) / TOP_SPEED
@@ -211,6 +207,7 @@ class SimulatorWorld(BaseWorld):
                 return _OnRoad(StraightRoad.uniform(len(lines), length, width, limit), Frame(stated, origin), longest)
         from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for roads of other shapes)
 
+        # On all other roads, the ego follows the lane in which it starts, as in an environment of highway-env.
         line, at = lines[stated.start_lane], stated.start_at
         lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
         if at is None:
@@ -226,7 +223,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def _lines(self) -> list[Any] | None:
-        """The centre lines of the lanes [m]; None for a straight road without an end."""
+        # The centre lines of the lanes [m]; None for a straight road without an end.
         stated = self._stated
         if stated.lines is not None or stated.length is None:
             return stated.lines
@@ -235,7 +232,6 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def network(self) -> Any:
-        """The road as a road network of highway-env."""
         from pytest_pafot.world.driving.vehicles import SearchedLanes  # noqa: PLC0415  (imports highway-env)
 
         bent = self._on_road.network
@@ -244,6 +240,8 @@ class SimulatorWorld(BaseWorld):
     @cached_property
     def _rules(self) -> Rules:
         road, duration, hz = self.road, self.duration, self.physics_hz
+        # Without `ads_hz`, the number of ticks between decisions is the largest one that gives at least 5 decisions per
+        # second, and divides the ticks of a second if these are whole.
         slowest = int(hz / PLANNER_HZ + 1e-9)
         every = next(each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0)
         if self.ads_hz is not None:
@@ -253,31 +251,31 @@ class SimulatorWorld(BaseWorld):
                 near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
                 fix = f"the nearest: {' and '.join(f'{hz / each:.6g}' for each in sorted(near))}"
                 raise WorldError(field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix)
-        ads_hz = plainly(hz / every)
+        ads_hz = whole_if_possible(hz / every)
         check_ticks(duration, hz)
+        # On a short road, runs end where the road ends.
         duration = min(duration, self._on_road.longest)
         return self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        """The fixed objects: x [m], y [m], heading [rad], length and width [m]."""
         # The places of objects are those of their centres, whatever those of vehicles are.
         frame, found = Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin), []
         for x, y, heading, length, width in self._stated.obstacles:
+            # With a length of 0, the point of reference is the centre.
             placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
             found.append((*placed[:3], length * frame.metres, width * frame.metres))
         return tuple(found)
 
     def check(self) -> None:
-        """Make the simulator now, to check what it states.
+        """Make the simulator now, to check its attributes.
 
         Raises:
-            WorldError: if it cannot be used; the message names the field.
+            WorldError: if one cannot be used. The message names it.
         """
         _ = self.rules
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""
         asked, name = super().first_decision(scenario), self.maker.__name__
         if asked is None or not self.is_native:
             return asked
@@ -285,26 +283,23 @@ class SimulatorWorld(BaseWorld):
         return replace(asked, advice=advice)
 
     replays_in_gym = False
-    """False, because a simulator is no environment."""
 
     is_resumable = True
-    """True, because :meth:`rollout` accepts ``decisions``."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
-        """Simulate a scenario with a fresh ADS.
+        """Simulate a scenario with a new policy.
 
         Args:
-            scenario: the scenario to run; it is checked against this world.
-            ads_factory: a callable that returns the ADS, called once.
-            decisions: the first decisions of the run, in the form of ``Trace.actions``; the ADS is not called for
-                them. Decisions beyond the end of the run are ignored.
+            scenario: scenario to run.
+            ads_factory: function that returns the policy, called once.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy is called after them.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
-            AdsFactoryError: if the factory returns nothing that can drive here.
+            AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
-            WorldError: if the simulator states what cannot be.
-            Exception: any exception of the factory or the simulator itself. An exception of the ADS ends the run as
+            WorldError: if an attribute of the simulator cannot be used.
+            Exception: any exception of the factory or the simulator. An exception of the policy ends the run as
                 ``ads_error``.
         """
         self.check_fits(scenario)
@@ -325,8 +320,8 @@ class SimulatorWorld(BaseWorld):
             takes = "a pafot.Observation to (acceleration, steering)"
         return AdsFactoryError(
             f"ads: expected a planner, a callable from {takes}, in a simulator "
-            f"of your own, received {given!r:.200}; a vehicle class of highway-env drives in pafot.Highway, and a "
-            "planner that simulates in pafot.World"
+            f"of your own, received {given!r:.200}; use pafot.Highway for a vehicle class of highway-env, and "
+            "pafot.World for a planner that simulates"
         )
 
     def _planned(
@@ -344,6 +339,7 @@ class SimulatorWorld(BaseWorld):
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         if is_native:
             driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
+        # A reference driver takes over from an ego that repeats the decisions of the policy, at the rate of the policy.
         if isinstance(body, RepeatedBody):
             if self.is_native:
                 body.repeats = NativeDriver(vehicles, ads, guard, body.actions, self.rules.every)
@@ -352,6 +348,7 @@ class SimulatorWorld(BaseWorld):
                 body.repeats = planner_driver(vehicles, ads, guard, None, body.actions, rules=own)
         try:
             with guard:
+                # The simulator starts with the vehicles. From then on, its states replace those of each tick.
                 simulation = Simulation(self.simulators, self._on_road.frame, vehicles, scenario.seed, guard)
                 vehicles.loop.simulation = simulation
         except BaseException:
@@ -360,12 +357,13 @@ class SimulatorWorld(BaseWorld):
         return vehicles.drive(driver, guard)
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
-        """Return an ego that repeats its decisions up to a tick, which leads the simulator to the same states."""
+        # The same decisions lead the simulator to the same states.
         length, width = trace.sizes[0].tolist()
         return RepeatedBody(length, width, trace.actions, tick)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for a corpus file, under ``simulator`` what the simulator's own ``to_dict`` returns."""
+        """Return data for a corpus file, with the data of the simulator's ``to_dict`` as ``simulator``."""
+        # The first three values are for the reader, and to notice a change of the simulator.
         own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
         own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
         own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
@@ -374,7 +372,7 @@ class SimulatorWorld(BaseWorld):
 
     @classmethod
     def of(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
-        """Make a world from its plain data and the class of its simulator; the opposite of :meth:`to_dict`.
+        """Make a world from the return value of :meth:`to_dict` and the class of its simulator.
 
         Raises:
             Exception: any exception of the class, for data that it does not accept.
@@ -387,13 +385,13 @@ class SimulatorWorld(BaseWorld):
         now = world.to_dict()
         for name in stated:
             if now[name] != own[name]:
-                field = f"world.data.{name}"
-                raise WorldError(field=field, expected=f"{now[name]!r:.200}, as now", received=f"{own[name]!r:.200}")
+                field, expected = f"world.data.{name}", f"{now[name]!r:.200}, as it is now"
+                raise WorldError(field=field, expected=expected, received=f"{own[name]!r:.200}")
         return world
 
 
 class _OnRoad(NamedTuple):
-    """A road, the axes of the simulator on it, how long runs can last [s], and highway-env's network of a bent one."""
+    """A road, the axes of the simulator on it, the longest run [s], and highway-env's network if the road is curved."""
 
     road: Road
     frame: Frame
@@ -403,7 +401,7 @@ class _OnRoad(NamedTuple):
 
 @dataclass(slots=True)
 class _Stated:
-    """The checked statements of a simulator: its units and axes as it states them, all else in those of a run (SI)."""
+    """The checked attributes of a simulator. All but units and axes are in SI units and the axes of a run."""
 
     maker: type[Simulator]
     metres: float
@@ -429,21 +427,21 @@ class _Stated:
 
     @property
     def name(self) -> str:
-        """The name of the simulator's class."""
         return self.maker.__name__
 
 
-def _stated(simulator: Any) -> _Stated:
-    """Return what a simulator states.
+def _check_statements(simulator: Any) -> _Stated:
+    """Return the checked attributes of a simulator.
 
     Raises:
-        WorldError: for a value that cannot be used; the message names the field.
+        WorldError: for a value that cannot be used. The message names the attribute.
     """
     if not isinstance(simulator, Simulator):
-        expected = "that it makes a pafot.Simulator"
+        expected = "that it creates a pafot.Simulator"
         raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
     name = type(simulator).__name__
     _check_names(type(simulator))
+    # Units first, because the limits of other values depend on them.
     metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
     speed = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
 
@@ -454,13 +452,12 @@ def _stated(simulator: Any) -> _Stated:
         return value
 
     def in_si(field: str, low: float, high: float, unit: str) -> float | None:
-        """Return a value in SI units; None if the simulator states none."""
         value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
         why = f", as {name}.{unit} is {of:.6g}"
         return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
 
     def several(field: str, of: str) -> Sequence[Any]:
-        """Return a list or tuple; a text, whose letters would count, is none."""
+        # The letters of a string would count as entries, so a string is not accepted.
         value = getattr(simulator, field)
         if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
             return list(value)
@@ -473,15 +470,16 @@ def _stated(simulator: Any) -> _Stated:
     offset, reference = simulator.rear_axle_offset, simulator.reference
     if (offset is None) is (reference == "rear axle"):
         expected = "the distance of the rear axle behind the centre of a vehicle's box [m]"
-        fix = 'with reference = "rear axle", write such as rear_axle_offset = 1.4'
+        fix = 'with reference = "rear axle", set rear_axle_offset, for example to 1.4'
         if offset is not None:
-            expected, fix = f"none with reference = {reference!r}", 'write reference = "rear axle", or leave it out'
+            expected, fix = f"none with reference = {reference!r}", 'set reference = "rear axle", or omit this'
         raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
     if offset is not None:
         offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " [m]")
     for each in several("packages", "names of packages"):
         if not isinstance(each, str):
             raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")
+    # What a file contains must be JSON-compatible.
     data = plain_data(f"{name}.to_dict()", simulator.to_dict())
     if not isinstance(data, dict):
         expected = "the arguments of the class by name"
@@ -491,8 +489,8 @@ def _stated(simulator: Any) -> _Stated:
     except ValueError as error:
         raise WorldError(str(error)) from None
     if is_on("native") and type(simulator).observe is Simulator.observe:
-        fix = "let it return what the policy gets"
-        raise WorldError(field=f"{name}.observe", expected="one, because native is True", received="none", fix=fix)
+        fix = "let it return the input of the policy"
+        raise WorldError(field=f"{name}.observe", expected="a method, because native is True", received="none", fix=fix)
     found = _Stated(
         maker=type(simulator),
         metres=metres,
@@ -514,6 +512,7 @@ def _stated(simulator: Any) -> _Stated:
         obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
         data=data,
     )
+    # A number of lanes, or their centre lines.
     if isinstance(simulator.lanes, Real):
         found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
     else:
@@ -528,24 +527,19 @@ def _stated(simulator: Any) -> _Stated:
 
 
 def _hz(simulator: Simulator, name: str) -> float:
-    """Return the ticks per second, as an int if they are whole."""
     low, high = PHYSICS_HZ
     dt = simulator.dt
     if dt is not None:
         dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, ", in seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
-        fix = "state one of both, or the same with both; if dt is your own, call it _dt"
+        fix = "set only one of them; if dt is your own attribute, call it _dt"
         raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
-    return plainly(hz)
+    return whole_if_possible(hz)
 
 
 def _check_names(cls: type[Simulator]) -> None:
-    """Refuse a statement under a name that is nearly that of an attribute, and that nothing reads.
-
-    A simulator may have attributes of its own, and bases that are no simulators, of which others read any. But if the
-    source of its classes has such a name only once, where it gets its value, the value has no effect.
-    """
+    """Reject an attribute that nothing reads, if its name looks like a misspelling."""
     classes = [each for each in cls.__mro__[:-1] if each is not Simulator and each.__module__ in sys.modules]
     stated = [
         name
@@ -570,13 +564,12 @@ def _check_names(cls: type[Simulator]) -> None:
             raise WorldError(
                 field=f"{cls.__name__}.{name}",
                 expected="the name of an attribute of pafot.Simulator",
-                received="another one, which nothing reads",
-                fix=f"write {near[0]}, or _{name} if it is your own",
+                received="an attribute that nothing reads",
+                fix=f"write {near[0]}, or _{name} for your own attribute",
             )
 
 
 def _line(place: str, given: Any, frame: Frame) -> Any:
-    """Return the points of a lane in the axes of a run [m]."""
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -588,8 +581,8 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     steps = np.hypot(*np.diff(line, axis=0).T)
     if steps.min() < 1e-3:
         number = int(steps.argmin())
-        expected = "points at least a millimetre from each other"
-        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="the point before it")
+        expected = "points that are at least a millimetre apart"
+        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="the previous point again")
     return line
 
 

@@ -1,8 +1,6 @@
 """The parts of highway-env that the package uses, imported without matplotlib and pandas.
 
-highway-env imports matplotlib for one function that plots, and pandas for observations that most runs do not use. To
-import these two takes three times as long as all other imports of highway-env. This module delays both to their first
-use.
+These two take three times as long to import as the rest of highway-env, and most runs never use them.
 """
 
 from __future__ import annotations
@@ -17,8 +15,6 @@ from pytest_pafot.support import import_late
 
 
 class _Later(ModuleType):
-    """A placeholder for a library, which imports the library when an attribute is first used."""
-
     def __init__(self, name: str, **parts: ModuleType) -> None:
         super().__init__(name)
         vars(self).update(parts)
@@ -31,7 +27,7 @@ class _Later(ModuleType):
 
 @contextmanager
 def _later() -> Iterator[None]:
-    """Let every import of matplotlib or pandas in the context return a placeholder."""
+    """Replace each import of matplotlib or pandas in the context by a placeholder that imports it at its first use."""
     pyplot = _Later("matplotlib.pyplot")
     libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
     absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}

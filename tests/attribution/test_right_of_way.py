@@ -1,4 +1,4 @@
-"""Right of way in cases without a situation in the gallery: places without priority, and sentences."""
+"""Right of way in cases without a stored situation: places without priority, and sentences."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def test_contact_outside_zone_and_ways_blames_neither_vehicle():
     beyond = replace(ignored(), on_way=ignored().on_way + 100.0)  # the NPC is further along its way
     found = rss_rule(beyond)
     assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
-    assert found.sentences[0] == "The ego touched NPC 0 at 6.4 s, outside the zone where their ways meet."
+    assert found.sentences[0] == "The ego touched NPC 0 at 6.4 s, outside the zone where their paths cross."
 
 
 def test_npc_off_the_way_does_not_change_verdict():

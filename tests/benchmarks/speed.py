@@ -1,4 +1,4 @@
-"""How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
+"""How fast does a world run, and where does the time go? One command for the figures of docs/guide/ci.md:
 
     python -m tests.benchmarks.speed [--rounds 7] [--parts engines search]
 

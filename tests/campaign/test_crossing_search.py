@@ -88,4 +88,4 @@ def test_paper_search_stays_on_the_grid():
 
     found = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot")
     assert kinds == {False}
-    assert "says nothing about such traffic" in " ".join(found.summary.notes)
+    assert "shows nothing about such traffic" in " ".join(found.summary.notes)

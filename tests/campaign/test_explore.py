@@ -108,7 +108,7 @@ def test_a_listener_that_raises_stop_iteration_is_named():
     def listen(event):
         next(iter(()))
 
-    with pytest.raises(RuntimeError, match=r"expected a listener .*, received StopIteration\(\) from it") as raised:
+    with pytest.raises(RuntimeError, match=r"the listener .* raised StopIteration\(\)") as raised:
         pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
     assert isinstance(raised.value.__cause__, StopIteration)
 
@@ -179,10 +179,11 @@ def test_search_notes_once_which_traffic_is_missing():
         return pafot.explore(world=world, **fields, **more).summary.notes
 
     assert notes(pafot.World("merge-v0", duration=3.0)) == (
-        "at merge-v0 all NPCs drive along the ego's way: none joins it, so the search says nothing about such traffic",
+        "at merge-v0 all NPCs drive along the ego's path: none joins it, so the search shows nothing about such "
+        "traffic",
     )
     (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # this algorithm needs the grid
-    assert "at intersection-v0 all NPCs drive along the ego's way: none crosses it or joins it, " in note
+    assert "at intersection-v0 all NPCs drive along the ego's path: none crosses it or joins it, " in note
     assert notes(pafot.World("highway-fast-v0", duration=2.0)) == ()
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
 
@@ -267,9 +268,9 @@ def test_setup_error_is_raised_unchanged():
     def misspelt(run):
         assert not run.colision
 
-    with pytest.raises(AttributeError, match=r"did you mean `run\.collision`") as raised:
+    with pytest.raises(AttributeError, match=r"Did you mean `run\.collision`") as raised:
         pafot.explore(constant_speed.make, holds=misspelt, seed=5, **SHORT)
-    assert "no finding" in raised.value.__notes__[0]
+    assert "not a finding" in raised.value.__notes__[0]
 
 
 def test_takeover_is_told_of_collisions_alone():
@@ -291,7 +292,10 @@ def test_check_whose_failure_is_caught_finds_nothing():
     passed = exploration.summary.runs - exploration.summary.kinds["invalid"]
     assert exploration.findings == ()
     (warning,) = [each for each in exploration.summary.warnings if each.startswith("check")]
-    assert f"check 'shorter' failed in {passed} of {passed} runs that passed: the test function caught it" in warning
+    assert (
+        f"check 'shorter' failed in {passed} of {passed} runs that passed, because the test function caught it"
+        in warning
+    )
 
 
 def test_a_failing_ads_is_avoided_by_no_takeover():
@@ -307,11 +311,13 @@ def test_a_failing_ads_is_avoided_by_no_takeover():
 @table(("arguments", "message"), [
     ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
     ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
-    ({"generations": 0}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
-    ({"generations": "00"}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
+    ({"generations": 0},
+     r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
+    ({"generations": "00"},
+     r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
     ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
-    ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected one of any, ego, received 'preventable'; use blame='ego'"),
-    ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway\(\.\.\.\), .*, received 3; a simul"),
+    ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected one of any, ego, received 'preventable'\. blame='ego'"),
+    ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway\(\.\.\.\), .*, received 3; derive"),
     ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
     ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
 ])  # fmt: skip

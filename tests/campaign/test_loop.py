@@ -235,7 +235,7 @@ def test_dying_processes_are_known_from_saved_scenario():
 def test_a_failure_that_nothing_shows_ends_the_search_with_an_error(monkeypatch):
     result = Bench.result
     monkeypatch.setattr(Bench, "result", lambda *given: replace(result(*given), failed=None))
-    with pytest.raises(RuntimeError, match=r"a failure has no finding: .*; please report this fault"):
+    with pytest.raises(RuntimeError, match=r"a failure has no finding: .*\. Please report this bug"):
         searched(lambda number: failed())
 
 

@@ -75,7 +75,7 @@ def test_what_no_time_is_left_to_decide_counts(monkeypatch):
     monkeypatch.setattr(made_worse.MadeWorse, "_fail", fail)
     found, _ = compared(EVEN, ODD)
     assert found.findings
-    assert "of 0 random scenarios, where the time was over" in found.summary.compared
+    assert "of 0 random scenarios before the time ran out, " in found.summary.compared
 
 
 @pytest.mark.processes

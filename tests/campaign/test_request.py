@@ -10,7 +10,7 @@ from pytest_pafot.campaign.request import build_space, drawn_space, named_world
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
-from pytest_pafot.searching.operators import mutate, varied
+from pytest_pafot.searching.operators import breed, mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.campaigns import Fresh
@@ -86,7 +86,7 @@ def test_most_npcs_cross_where_ways_meet():
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
     assert drawn.described.startswith(
         "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic "
-        "(NPCs may stop, brake hard and cut in close), most of them on 6 ways that "
+        "(NPCs may stop, brake hard and cut in close), most of them on paths that cross the ego's path in 6 zones"
     )
     assert space_of(world, npcs=3).most_npcs == ()
     assert space_of(world, algorithm="pafot").crossings is None
@@ -124,7 +124,7 @@ def test_drawn_and_varied_vehicles_fit_all_ways():
     space = space_of(world)
     for _ in range(100):
         pair = sample(space, rng), sample(space, rng)
-        for child in (*pair, mutate(pair[0], space, rng), *varied(pair, space, 1.0, 1.0, rng)):
+        for child in (*pair, mutate(pair[0], space, rng), *breed(pair, space, 1.0, 1.0, rng)):
             world.check_fits(child)
             kinds |= set(child.all_vehicles)
     assert kinds == {CAR, VAN, MOTORCYCLE}
@@ -133,7 +133,11 @@ def test_drawn_and_varied_vehicles_fit_all_ways():
 @table(("world", "given", "words"), [
     (Highway(), {"vehicles": "lorry"}, "vehicle: expected one of car, van, truck, motorcycle, or"),
     (Highway(), {"vehicles": []}, "vehicles: expected one or more of car, van, truck, motorcycle"),
-    (World("racetrack-v1"), {"vehicles": "truck"}, r"\(vehicles=...\): expected vehicles that NPCs can be in"),
+    (
+        World("racetrack-v1"),
+        {"vehicles": "truck"},
+        r"\(vehicles=...\): expected vehicles that fit the roads of World.*, received truck",
+    ),
 ])  # fmt: skip
 def test_vehicles_that_cannot_be_drawn_are_refused(world, given, words):
     with pytest.raises(RequestError, match=words):
@@ -163,11 +167,11 @@ def a_simulator():
 
 @pytest.mark.parametrize("name", ["Still", "a_simulator"])
 def test_a_simulator_is_no_world_yet(name):
-    with pytest.raises(RequestError, match=r"returns pafot.*, received .*; write pafot\.SimulatorWorld\(Still\)$"):
+    with pytest.raises(RequestError, match=r"to return pafot.*, received .*; write pafot\.SimulatorWorld\(Still\)$"):
         named_world(f"{__name__}:{name}", "--world")
 
 
 def test_factory_of_a_world_that_returns_its_class_is_refused():
-    message = r"returns pafot\.Highway\(\.\.\.\), .*, received <class '.*Highway'>; call it: Highway\(\.\.\.\)"
+    message = r"to return pafot\.Highway\(\.\.\.\), .*, received <class '.*Highway'>; call it: Highway\(\.\.\.\)"
     with pytest.raises(RequestError, match=message):
         named_world(f"{__name__}:a_class", "--world")

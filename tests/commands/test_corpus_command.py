@@ -25,15 +25,15 @@ def folder(tmp_path, monkeypatch):
 
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
-    assert "corpus: expected a folder, received" in capsys.readouterr().err
+    assert "corpus: expected a folder that exists, received" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch):
     unlisted(monkeypatch, folder / "test_it")
     assert main(["corpus", "list", str(folder)]) == 1
     assert capsys.readouterr().err == (
-        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; let this "
-        "user read it, restore it, or move it away\n"
+        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; make it "
+        "readable for this user, restore it, or move it away\n"
     )
 
 
@@ -94,7 +94,7 @@ def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
     monkeypatch.setattr(os, "fsync", full)
     assert accept("a-111111") == 1
     assert capsys.readouterr().err == (
-        "corpus: a-111111: expected a file that can be written, received No space left on device; "
+        "corpus: a-111111: expected a writable file, received No space left on device; "
         "free some space on the disk, then accept it again\n"
     )
     assert file.read_bytes() == before
@@ -126,7 +126,7 @@ def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys):
 
 @pytest.mark.parametrize(("day", "told"), [
     ("soon", "expected a day such as 2027-01-31, received 'soon'"),
-    ("2026-01-31", "expected today or a later day, received 2026-01-31, which is over"),
+    ("2026-01-31", "expected today or a later day, received 2026-01-31, which is in the past"),
 ])  # fmt: skip
 def test_a_day_that_is_none_or_over_is_told(folder, capsys, day, told):
     with pytest.raises(SystemExit, match="2"):
@@ -157,5 +157,5 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong
 def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
-    assert "received an id that 2 files have; give one of the files: test_it/test_x/" in capsys.readouterr().err
+    assert "received an id that occurs in 2 files; give one of the files: test_it/test_x/" in capsys.readouterr().err
     assert accept("test_it/test_y/a-111111.pafot.yaml") == 0

@@ -85,7 +85,7 @@ def test_a_row_says_what_failed(here, capsys, changes, what):
 
 
 def test_nothing_is_listed_where_nothing_is_saved(here, capsys):
-    assert printed(capsys) == "no saved scenarios\n"
+    assert printed(capsys) == "no saved scenarios found\n"
 
 
 def git(root, *arguments):

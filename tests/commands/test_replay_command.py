@@ -76,17 +76,17 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     done = command_in_a_copy("pytest_pafot", "replay", *arguments)
     assert (done.code, told in done.out) == (code, True), done.out + done.err
     name = arguments[0].removesuffix(".pafot.yaml")
-    assert re.match(rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0; .* policies:\w+\n", done.out)
+    assert re.match(rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0\. .* policies:\w+\n", done.out)
     new = {path.relative_to(here).parts[0] for path in {*here.rglob("*")} - before}
     assert new <= {"__pycache__", "page.html"}
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
-    ([ACCEPTED], "--ads: expected the policy that drives, such as --ads module:Class, received none; the file is data"),
+    ([ACCEPTED], "such as --ads module:Class, received none. The file itself contains no policy"),
     ([ACCEPTED, "--ads", "policies:Idel"], "--ads: expected a factory in the module policies, received"),
     ([ACCEPTED, "--ads", "policies:Idle", "--world", "nothing-v0"], "expected a registered environment, received"),
     (["crossing", "--ads", "policies:Idle", "--world", "highway-v0"], "crossing.pafot.yaml:"),
-    (["flaky", "--ads", "policies:Idle"], "--check: expected the function of a run that asserts what test_golden.py::"),
+    (["flaky", "--ads", "policies:Idle"], "expected a function of a run that asserts the same as test_golden.py::"),
     (["own", "--ads", "policies:Idle"], "own.pafot.yaml:14: world: expected a world that is data, received"),
     (["newer", "--ads", "policies:Idle"], "newer.pafot.yaml:1: pafot: expected the format version"),
     (["large", "--ads", "policies:Idle"], "large.pafot.yaml: expected at most 256 KiB, received a larger file"),

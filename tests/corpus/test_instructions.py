@@ -68,11 +68,11 @@ def test_redundant_act_is_read_without_error():
     ("slot: 0.5, ", "", "scenario.npcs.NPC 0[0]", "the key 'slot'"),
     ("speed: 8.6}]", "speed: 8.6, act: wave}]", "scenario.npcs.NPC 0[0].act", "one of pass, hold, stop, late"),
     ("speed: 8.6}]", "speed: 8.6, acts: hold}]", "scenario.npcs.NPC 0[0].acts", "one of zone, slot, speed, act"),
-    ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "m/s in steps of 0.1"),
-    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "seconds in steps of 0.1"),
-    ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "seconds, at most 5 before or after the ego"),
+    ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "a value in steps of 0.1 m/s"),
+    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "a value in steps of 0.1 seconds"),
+    ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "at most 5 seconds before or after the ego"),
     ("slot: 0.5", "slot: soon", "scenario.npcs.NPC 0[0].slot", "a finite number"),
-    ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and the exit of a way"),
+    ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and the exit of a path"),
     ("zone: o1>o3,", "zone: o1>o3, cell: front,", "scenario.npcs.NPC 0[0].zone", "one of cell, speed"),
     ("8.6}]", "8.6}, {cell: rear, speed: 8}]", "scenario.npcs.NPC 0[1].cell", "a CrossingInstruction like npcs[0][0]"),
     ("8.0}]\n    NPC 2: [{zone", "8.0}, {zone", "scenario.npcs.NPC 1[1]", "a PositionInstruction like npcs[1][0]"),
@@ -99,7 +99,7 @@ IN_LANES = text_of(plain_finding(scenario=LANES))
     ("{lane: up, speed: 22.3}", r"scenario.npcs.NPC 0\[0\].lane: expected one of keep, left, right, received 'up'"),
     ("{cell: front, lane: left, speed: 1.0}", r"scenario.npcs.NPC 0\[0\].lane: expected one of cell, speed"),
     ("{cell: front, speed: 22.3}", r"npcs.NPC 0\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
-    ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
+    ("{lane: left, speed: 22.35}", r"speed: expected a speed of at least 0 m/s"),
 ])  # fmt: skip
 def test_broken_rule_of_lanes_is_reported_at_its_place(wrong, message):
     assert "    NPC 0: [{lane: left, speed: 22.3}, {lane: keep, speed: 24.1}]\n" in IN_LANES

@@ -193,7 +193,9 @@ def test_folders_of_a_test_are_found_among_all(tmp_path_factory, others, test):
     for name, parameters in [*others, (test, None), (test, "1")]:
         (module / safe_name(name if parameters is None else f"{name}[{parameters}]")).mkdir(exist_ok=True)
     for name in (test, *(name for name, _ in others)):
-        assert TestFolders(module).of(name) == [each for each in sorted(module.iterdir()) if may_be_of(each.name, name)]
+        assert TestFolders(module).folders_of(name) == [
+            each for each in sorted(module.iterdir()) if may_be_of(each.name, name)
+        ]
 
 
 def test_folder_of_longer_name_belongs_to_another_test():

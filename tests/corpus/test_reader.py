@@ -239,10 +239,10 @@ def test_error_says_what_is_wrong_and_what_to_write(path, content, told):
     (b"just text", 1, "a mapping (key: value)"),
     (b"- a\n- b\n", 1, "a mapping (key: value)"),
     (b"test: a\n", 1, "the key 'pafot' with the version 3"),
-    (b"pafot: 1\npafot: 1\n", 2, "each key once"),
-    (b"pafot: 1\n1: 2\n", 2, "keys of text"),
-    (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, text, true, false or null"),
-    (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, text, true, false or null"),
+    (b"pafot: 1\npafot: 1\n", 2, "each key only once"),
+    (b"pafot: 1\n1: 2\n", 2, "keys that are strings"),
+    (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, a string, true, false or null"),
+    (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, a string, true, false or null"),
     (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number"),
 ])  # fmt: skip
 def test_what_is_no_plain_document_is_refused(path, content, line, expected):
@@ -273,7 +273,7 @@ def test_billion_laughs_file_is_refused_without_expansion(path):
 def test_nesting_without_end_is_refused(path, opening):
     text, errors = "pafot: 1\nworld: \n  " + opening * (40_000 // len(opening)), []
     assert calls_in(lambda: errors.append(fault(path, text))) < 40_000
-    assert errors[0].expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
+    assert errors[0].expected in ("at most 20 levels of nesting", "valid YAML", "keys that are strings")
 
 
 @table("levels", range(14, 20))
@@ -361,7 +361,7 @@ def refused(place):
     with pytest.raises(CorpusError) as caught:
         load(place)
     assert str(caught.value) == (
-        f"{place}: expected a file of its corpus, received a link that leads out of it; replace the link by the "
+        f"{place}: expected a file inside the corpus, received a link that leads out of it; replace the link with the "
         "file itself, or delete the link"
     )
 

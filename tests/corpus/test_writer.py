@@ -131,11 +131,11 @@ def test_finding_too_large_to_read_back_is_refused(path):
 
 @pytest.mark.parametrize(("number", "way_out"), [
     (errno.ENOSPC, "free some space on the disk, or choose another folder with --pafot-corpus"),
-    (errno.EROFS, "mount it so that it can be written"),
+    (errno.EROFS, "mount it with write access"),
     (errno.EACCES, "make the folder writable"),
     (errno.ENAMETOOLONG, "shorten the names of the folders, of the test or of its parameters"),
     (errno.ELOOP, "a link in the path points to itself"),
-    (errno.EIO, "the disk or the network has failed"),
+    (errno.EIO, "the disk or the network failed: check it"),
 ])  # fmt: skip
 def test_failed_write_suggests_a_remedy_for_its_cause(path, monkeypatch, number, way_out):
     def fail(descriptor):

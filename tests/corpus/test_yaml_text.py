@@ -138,5 +138,5 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
 
 @pytest.mark.parametrize("content", [b"<OpenSCENARIO/>", b"", b"x" * 300_000, b"a: 1"])
 def test_file_of_another_tool_is_not_said_to_be_broken(content):
-    with pytest.raises(CorpusError, match=r"received a file of another kind; give a file that ends in \.pafot\.yaml"):
+    with pytest.raises(CorpusError, match=r"a file of a different kind; give a file that ends in \.pafot\.yaml"):
         parse(Path("run.xosc"), content)

@@ -148,7 +148,7 @@ class TestOwnSignals:
 
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
         assert run.signal(far, npc=1).tolist() == [50.0, 50.0]
-        with pytest.raises(ValueError, match="'far': expected npc=0 and so on, because it has a row for each NPC"):
+        with pytest.raises(ValueError, match="'far': expected npc=0 or another index, because it has a row for each"):
             run.signal(far)
 
     def test_it_is_computed_once(self):
@@ -163,7 +163,7 @@ class TestOwnSignals:
         assert len(asked) == 1
 
     def test_an_array_of_another_shape_is_refused(self):
-        with pytest.raises(ValueError, match=r"expected one value a tick, shape \(12,\), or of each"):
+        with pytest.raises(ValueError, match=r"expected one value per tick, shape \(12,\), or one per NPC and tick"):
             random_run(6).signal(lambda trace: trace.times[1:])
 
 

@@ -164,10 +164,10 @@ def test_folder_that_others_could_have_planted_is_refused(tmp_path, is_link, lev
         place.chmod(0o777)
     with CrashRecord(folder, OWNER) as record:
         record.write(SCENARIO)
-    assert "a hard crash of this process will not name" in str(record.error)
-    assert f"others may write there: {place}" in str(record.error)
-    assert str(record.error).endswith("delete that, or set TMPDIR to a folder for temporary files that belongs to you")
-    with pytest.raises(CrashRecordError, match=f"others may write there: {place}"):
+    assert "If this process crashes, no record will name" in str(record.error)
+    assert f"other users can write to {place}" in str(record.error)
+    assert str(record.error).endswith("delete that folder, or set TMPDIR to a folder that belongs to you")
+    with pytest.raises(CrashRecordError, match=f"other users can write to {place}"):
         leftovers(folder)
 
 
@@ -185,11 +185,11 @@ def test_folder_of_records_follows_no_links(tmp_path):
     assert leftovers(folder) == ()
     (tmp_path / "link").symlink_to(folder)
     (folder / "9-x.inflight").write_text("\n")  # it would be removed
-    with pytest.raises(CrashRecordError, match="others may write there"):
+    with pytest.raises(CrashRecordError, match="other users can write to"):
         leftovers(tmp_path / "link")
     with CrashRecord(tmp_path / "link", OWNER) as record:
         record.write(SCENARIO)
-    assert "others may write there" in str(record.error)
+    assert "other users can write to" in str(record.error)
     assert sorted(folder.iterdir()) == sorted([*before, folder / "9-x.inflight"])
     assert (blank.read_text(), secret.exists()) == ("\n", True)
 
@@ -216,7 +216,7 @@ def test_unwritable_folder_never_stops_the_search(tmp_path):
         record.clear()
     assert isinstance(error, CrashRecordError)
     assert record.error is error
-    assert "a hard crash of this process will not name the scenario" in str(error)
+    assert "If this process crashes, no record will name the scenario" in str(error)
 
 
 def test_full_disk_never_stops_the_search(tmp_path, monkeypatch):

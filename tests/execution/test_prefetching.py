@@ -90,7 +90,9 @@ class TestProcesses:
         with runner_of(world) as runner:
             asked(runner)
         assert world.ran == list(range(8))
-        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
+        assert runner.notes == [
+            "--pafot-workers=2: not used, because a run took 5.0 ms, and workers pay off from 10 ms per run"
+        ]
 
     def test_processes_end_if_only_first_run_was_expensive(self, runner_of):
         world, pool = World(1.5), Pool(seconds=0.005)
@@ -101,7 +103,9 @@ class TestProcesses:
             assert [each.scenario for each in made] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
-        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
+        assert runner.notes == [
+            "--pafot-workers=2: not used, because a run took 5.0 ms, and workers pay off from 10 ms per run"
+        ]
 
     def test_processes_start_later_if_runs_become_expensive(self, runner_of):
         world, pool = World(0.005), Pool()
@@ -198,6 +202,6 @@ class TestProcesses:
         with runner_of(World(0.02), pool) as runner:
             asked(runner)
         used, recovered = runner.notes
-        assert used == "--pafot-workers=2: in use after 1 run of this process"
+        assert used == "--pafot-workers=2: after 1 run in this process, the rest ran in workers"
         assert recovered.startswith("a process (pid 7) was ended by SIGKILL while it ran <Scenario ")
         assert "too little memory for so many workers" in recovered

@@ -67,7 +67,7 @@ def test_exception_of_the_factory_is_raised_with_advice(job_of):
     job = replace(job_of(idle), policy=Policy(open_nothing))
     with pytest.raises(OSError, match="cannot re-initialize CUDA") as raised:
         judged_apart(job, ONE, praise)
-    assert "open that in the factory, not before" in "".join(raised.value.__notes__)
+    assert "Open it inside the factory, not before" in "".join(raised.value.__notes__)
 
 
 def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork):

@@ -22,7 +22,7 @@ def crash(npc="north straight", *, enters=8.0, speed=9.0, ego=STRAIGHT, changes=
 
 
 def passes(npc="north straight", *, enters=8.0, speed=9.0, changes=((4.0, 3.0, 0.0),)):
-    """Return the same run with an ego that brakes from 4 s on and so gives way."""
+    """Return the same run with an ego that brakes from 4 s and so gives way."""
     return Run(driven(plan(STRAIGHT, 8.0, 10.0, *changes), plan(npc, enters, speed)))
 
 
@@ -85,7 +85,7 @@ def test_situation_of_a_check_is_two_seconds_before_also_past_the_beginning_of_t
 
     assert (before(7.0).npc, before(7.0).time) == (0, 5.0)
     assert before(7.0).npc_enters == pytest.approx(3.0, abs=0.1)
-    assert str(before(11.0)).startswith("1.0 s past the beginning of its zone at 9.0 m/s, with the ego ")
+    assert str(before(11.0)).startswith("1.0 s past the start of its zone at 9.0 m/s, with the ego ")
 
 
 @table(("run", "comes_up"), [
@@ -114,7 +114,7 @@ def test_giving_way_is_fixed_but_not_meeting_drifted():
 
 def test_missed_situation_names_both_moments():
     text = missed(Expect.of(crash(), FAILS).situation, passes(enters=12.0))
-    assert text.startswith("the situation did not come up: NPC 0 was ")
+    assert text.startswith("the situation did not occur: NPC 0 was ")
     assert "s from its zone at 9.0 m/s, with the ego" in text
     assert text.count("zone") == 2
 

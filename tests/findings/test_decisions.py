@@ -10,7 +10,16 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
-from pytest_pafot.findings.decisions import Moment, deciding, differ, fact_on, placed, seen_of, vehicle_of
+from pytest_pafot.findings.decisions import (
+    Moment,
+    deciding,
+    deed_of,
+    differ,
+    placed,
+    seen_of,
+    sentences_of,
+    vehicle_of,
+)
 from pytest_pafot.findings.finding import Bounded, Expect
 from pytest_pafot.world.driving.policy import Aside, Question, beside, changed, without
 from pytest_pafot.world.engines.simulation import OwnUnits
@@ -127,7 +136,7 @@ def test_a_verdict_and_a_moment_tell_the_same_gap():
 def test_a_moment_is_told_in_one_line():
     moment = Moment(time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
     saw = "NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower"
-    start = f"At 4.9 s the policy saw {saw}, and answered acceleration 0.0 m/s^2"
+    start = f"At 4.9 s the policy saw {saw}, and chose acceleration 0.0 m/s^2"
     assert str(moment) == moment.brief == f"{start}."
     probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
     other = "with NPC 0 2 m nearer acceleration -4.0 m/s^2"
@@ -135,10 +144,10 @@ def test_a_moment_is_told_in_one_line():
     hidden = "with NPC 0 hidden the same"
     assert sorted(str(probed).removesuffix(".").split("; ")) == sorted([start, hidden, other])
     none = replace(moment, otherwise="")
-    assert (str(none), none.brief) == (f"{start}; no change of NPC 0 that was tried changes it.", f"{start}.")
+    assert (str(none), none.brief) == (f"{start}; no change of NPC 0 that was tried has an effect.", f"{start}.")
     other = Moment(time=3.0, npc=None, action="1", reference="0")
     assert str(other) == other.brief
-    assert re.fullmatch(r"At 3\.0 s, .* the policy answered 1, the reference 0\.", other.brief)
+    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, the reference 0\.", other.brief)
 
 
 def test_conditions_are_listed_below_whom_they_are_about():
@@ -363,7 +372,7 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(instead, asked):
     drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, Question(number=2, instead=instead))()
     assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
     assert len(seen) == asked
-    assert aside.of(2) == (0.0, 0.0)
+    assert aside.action_at(2) == (0.0, 0.0)
     assert (instead in seen) == (instead is not None)
     assert aside.at == 2
 
@@ -372,19 +381,24 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz
     assert deciding(run, expecting(run)) == int(run.attribution.time * hz + 1e-6)  # by the rules, when danger began
-    assert fact_on(run) == f"the ego kept 22.0 m/s and did not brake from {run.attribution.time:.1f} s on"
+    assert told_of(run) == f"The ego kept 22.0 m/s and did not brake after {run.attribution.time:.1f} s."
     assert deciding(run, expecting(run, takeover=1.25)) == int((run.collision.time - 1.25) * hz + 1e-6)
     assert deciding(run, expecting(run, takeover=0.0)) == deciding(run, expecting(run))  # none avoids it
     assert vehicle_of(run, expecting(run)) == 0
 
 
-def test_an_ego_that_is_not_at_fault_has_no_fact_in_headlines():
+def told_of(run):
+    """Return the sentence that says what the ego did wrong."""
+    return deed_of(run, sentences_of(run, expecting(run)))
+
+
+def test_an_ego_that_is_not_at_fault_did_nothing_wrong():
     scenario = pafot.Scenario(
         npcs=[[pafot.PositionInstruction(7, 22.0), pafot.PositionInstruction(6, 26.0)]], gene_seconds=6.0, ego_speed=20
     )
     run = pafot.Run(WORLD.rollout(scenario, lambda: lambda seen: KEEPS))
     assert run.responsibility == "npc"
-    assert fact_on(run) == ""
+    assert told_of(run) == ""
 
 
 def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too():
@@ -431,26 +445,30 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     assert run.attribution.fault == "entered-lane"
     assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
     crossed = run.attribution.time
-    deed = "drifted from {} on" if planner is DRIFTS else "began to change lanes at {}"
+    deed = "drifted from {}" if planner is DRIFTS else "began to change lanes at {}"
     assert crossed > moment
-    assert re.match(f"The ego moved (into lane 0|sideways) at {crossed:.1f} s[, ]", run.sentences[0])
-    assert fact_on(run) == f"the ego {deed.format(f'{moment:.1f} s')}, over the line at {crossed:.1f} s"
+    moved = f"moved (into lane 0|sideways) at {crossed:.1f} s[, ]"
+    assert re.match(f"The ego {moved}", run.sentences[0])
+    assert re.match(f"The ego {deed.format(f'{moment:.1f} s')} and {moved}", told_of(run))
 
 
-@pytest.mark.parametrize(("planner", "plan", "moment"), [
-    (to_lanes, [(0.0, 1), (6.0, 0)], 6.0),
-    (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0),
-    (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8),  # its first steering only ends the motion to the other side
+@pytest.mark.parametrize(("planner", "plan", "moment", "moved"), [
+    (to_lanes, [(0.0, 1), (6.0, 0)], 6.0, "moved into the lane of NPC 0 at {}, next to NPC 0."),
+    (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0, "moved sideways at {} into NPC 0, which was next to it."),
+    # Its first steering only ends the motion to the other side.
+    (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8, "moved into the lane of NPC 0 at {}, next to NPC 0."),
 ])  # fmt: skip
-def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner, plan, moment):
+def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(
+    planner, plan, moment, moved
+):
     world = pafot.World("racetrack-oval-v1", duration=30.0, planner_hz=5)
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9)
     run = pafot.Run(world.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
     assert run.attribution.time > moment + 1.0
     assert not run.trace.road.is_straight
-    crossed = f"over the line at {run.attribution.time:.1f} s"
-    assert fact_on(run) == f"the ego began to change lanes at {moment:.1f} s, {crossed}"
+    moved = moved.format(f"{run.attribution.time:.1f} s")
+    assert told_of(run) == f"The ego began to change lanes at {moment:.1f} s and {moved}"
 
 
 def test_a_failed_check_has_the_last_decision_up_to_it():

@@ -6,6 +6,7 @@ from typing import get_args
 import pytest
 
 from pytest_pafot.findings.sighting import GROUPS, Label, New, Observed, label
+from tests.findings.builders import sighting
 from tests.helpers.tables import table
 
 PASSES, FAILS = {"is_handled": True}, {"fails": True, "is_same": True}
@@ -47,5 +48,20 @@ def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(ot
 
 
 def test_there_are_seven_labels_and_two_words_for_new_findings():
-    assert {*GROUPS} - {*get_args(Label)} == {*get_args(New)}
+    assert {*GROUPS} - {*get_args(Label)} == {*get_args(New), "passes (found in another scenario)", NOT_AGAIN}
+    assert {*get_args(Label)} - {*GROUPS} == {"fixed"}
     assert len(get_args(Label)) == 7
+
+
+NOT_AGAIN = "passes (not found again)"
+
+
+@pytest.mark.parametrize(("result", "more"), [
+    ("still failing", FAILS),
+    ("passes", PASSES),
+    ("passes (found in another scenario)", PASSES | {"elsewhere": "hit-2"}),
+    (NOT_AGAIN, PASSES | {"searched": 40}),
+])  # fmt: skip
+def test_summaries_call_no_pass_a_fix_and_no_pass_a_failure(result, more):
+    assert sighting("a", label="drifted", **more).result == result
+    assert result in GROUPS

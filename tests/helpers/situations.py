@@ -27,7 +27,7 @@ class Situation:
     """A collision, its verdict and why.
 
     Attributes:
-        name: name of the situation and of its picture.
+        name: name of the situation.
         text: what happens.
         trace: function that makes the trace.
         responsibility, fault: verdict that an expert expects.
@@ -96,7 +96,7 @@ def at_ramp(ego, npc, *, on_ramp) -> Trace:
 
 
 def weaving():
-    """An ego that comes from the left and weaves in its new lane from 4 s on, with a period of 3 s."""
+    """An ego that comes from the left and weaves in its new lane from 4 s, with a period of 3 s."""
     ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0)
     since = np.maximum(np.arange(len(ego)) / HZ - 4.0, 0.0)
     ego[:, Y] += 0.6 * np.sin(since * 2 * np.pi / 3.0)
@@ -949,5 +949,5 @@ TOLD = {
         ),
     },
 }  # fmt: skip
-"""By the heading on the page and the name: text, trace, responsibility, fault and rule of a Situation."""
+"""By heading and name: text, trace, responsibility, fault and rule of a Situation."""
 SITUATIONS = {heading: tuple(Situation(name, *told) for name, told in each.items()) for heading, each in TOLD.items()}

@@ -69,17 +69,18 @@ class TestInstructions:
         assert math.copysign(1, crosses(slot=-0.0).slot) == 1
 
     @table(("changes", "message"), [
-        ({"zone": "o1"}, "zone: expected the entry and the exit of a way, such as \"o1>o3\", received 'o1'"),
+        ({"zone": "o1"}, "zone: expected the entry and the exit of a path, such as \"o1>o3\", received 'o1'"),
         ({"zone": "o1>o3>o2"}, "zone: expected the entry"),
         ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
         ({"zone": "o1>o3\n"}, "zone: expected the entry"),
         ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
-        ({"slot": 0.55}, "slot: expected seconds in steps of 0.1, received 0.55; the nearest valid slot is"),
-        ({"slot": 5.1}, "slot: expected seconds, at most 5 before or after the ego, received 5.1"),
+        ({"slot": 0.55}, "slot: expected a number of seconds in steps of 0.1, received 0.55; the nearest valid slot"),
+        ({"slot": 5.1}, "slot: expected at most 5 seconds before or after the ego, received 5.1"),
         ({"slot": math.nan}, "slot: expected a finite number"),
         ({"slot": "1"}, "slot: expected a finite number"),
-        ({"speed": 0}, "speed: expected m/s, more than 0, because it has to arrive, received 0.0; act"),
-        ({"speed": 8.65}, "speed: expected m/s, at least 0 and in steps of 0.1"),
+        ({"speed": 0},
+         "speed: expected a speed above 0 m/s, because the NPC must arrive, received 0.0; use act"),
+        ({"speed": 8.65}, "speed: expected a speed of at least 0 m/s, in steps of 0.1"),
     ])  # fmt: skip
     def test_what_is_wrong_is_refused_by_name(self, changes, message):
         with pytest.raises(ScenarioError, match="^" + re.escape(message)):

@@ -78,7 +78,7 @@ def test_invalid_speed_is_refused_with_nearest_valid_one(speed, nearest):
 
 @table("speed", [1e4, 1e300, 1.7e308, 10**300])
 def test_an_absurd_speed_is_refused_with_the_bound(speed):
-    with pytest.raises(ScenarioError, match="speed: expected m/s, at most 1000, received"):
+    with pytest.raises(ScenarioError, match="speed: expected a speed of at most 1000 m/s, received"):
         PositionInstruction(2, speed)
 
 
@@ -172,10 +172,11 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
     ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
     ({"seed": 1.5}, "seed: expected a whole number"),
     ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
-    ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
-    ({"ego_speed": math.nan}, "ego_speed: expected m/s, at least 0, received nan"),
-    ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 0"),
-    ({"gene_seconds": 1e9}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0"),
+    ({"ego_speed": -1}, "ego_speed: expected a speed of at least 0 m/s, received -1"),
+    ({"ego_speed": math.nan}, "ego_speed: expected a speed of at least 0 m/s, received nan"),
+    ({"gene_seconds": 0}, "gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 0"),
+    ({"gene_seconds": 1e9},
+     "gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 1000000000.0"),
 ])  # fmt: skip
 @table("make", [Scenario, Scenario.repaired])
 def test_broken_field_is_refused_by_name(make, fields, message):
@@ -232,7 +233,9 @@ class TestLaneInstructions:
             LaneInstruction(lane, 10.0)
 
     def test_lane_speed_between_tenths_is_refused(self):
-        with pytest.raises(ScenarioError, match=r"speed: expected m/s, .* the nearest valid speed is 12\.3"):
+        with pytest.raises(
+            ScenarioError, match=r"speed: expected a speed of at least 0 m/s, .* the nearest valid speed is 12\.3"
+        ):
             LaneInstruction("keep", 12.34)
 
     def test_valid_speed_of_an_npc_that_crosses_is_above_0(self):

@@ -112,5 +112,5 @@ def test_only_paper_traffic_is_not_attentive():
 def test_what_is_no_style_is_refused(given):
     with pytest.raises(ScenarioError, match="traffic: expected one of paper, hostile, assertive, everyday, received"):
         Scenario(npcs=[[PositionInstruction(2, 20.0)]], traffic=given)
-    with pytest.raises(ValueError, match="traffic: expected one of paper, hostile, assertive, everyday, received"):
+    with pytest.raises(ValueError, match="traffic: expected one of paper, hostile, assertive, everyday, but received"):
         SearchSpace(traffic=given)

@@ -194,7 +194,9 @@ def test_environment_of_the_users_own_is_not_closed():
         patch.setattr("metadrive.engine.base_engine.BaseEngine.try_pull_asset", staticmethod(lambda: None))
         own.reset()
     try:
-        with pytest.raises(WorldError, match=r"no other environment in this process, received one that is open; call"):
+        with pytest.raises(
+            WorldError, match=r"no other environment in this process, received one that is still open; call"
+        ):
             _ = pafot.metadrive("SSS").road
         assert get_engine() is not None
     finally:

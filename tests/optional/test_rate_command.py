@@ -82,12 +82,12 @@ def test_what_a_loader_doubts_stands_beside_the_rate(capsys):
 def test_failing_policy_is_counted_and_named(capsys):
     assert rate("--ads", "constant_speed", "--episodes", "2") == 1
     out, told = capsys.readouterr()
-    assert "drives most of 2 episodes, received 0 of them; in 2 of the others, BadA" in told
-    assert "no episode of 2 was driven to its end" in out
-    assert "2 episodes never drove or ended in an error, which the rate ignores; seeds 0, 1; the first: BadAct" in out
+    assert "to complete most of 2 episodes, but it completed 0. In 2 of the others, BadA" in told
+    assert "none of 2 episodes was completed" in out
+    assert "2 episodes did not start or ended with an error, and do not count. Seeds: 0, 1. First reason: BadAct" in out
     assert "write @planner after the name" in out.replace("\n ", "")
     assert rate("--ads", "idm_mobil", "--episodes", "2", "--config", '{"duration": 0}') == 1
-    assert "in 2 of the others, HighwayEnvFast._is_truncated ended it in step 1; correct" in capsys.readouterr().err
+    assert "In 2 of the others, HighwayEnvFast._is_truncated ended it in step 1. Correct" in capsys.readouterr().err
 
 
 def fails():
@@ -100,7 +100,7 @@ def fails():
 def test_policy_that_raises_in_the_first_ten_episodes_ends_the_command(capsys):
     assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
     told = capsys.readouterr().err
-    assert "in each of the first 10 episodes, from seed 0 on: RuntimeError: no weights\n  File " in told
+    assert "in each of the first 10 episodes, starting with seed 0: RuntimeError: no weights\n  File " in told
     assert ("test_rate_command.py" in told, " of 200 episodes\n" in told) == (True, False)
 
 
@@ -131,13 +131,13 @@ def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
 
 
 @pytest.mark.parametrize(("arguments", "text"), [
-    (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
-    ([f"{__name__}:fails"], "fails' returns pafot.Highway(...), pafot.World(...) or "),
+    (["pytest_pafot:Highway"], "--world: expected an environment with ordinary traffic, "),
+    ([f"{__name__}:fails"], "fails' to return pafot.Highway(...), pafot.World(...) or "),
     ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
-    ([f"{__name__}:wraped"], "; did you mean 'tests.optional.test_rate_command:wrapped'?"),
+    ([f"{__name__}:wraped"], ". Did you mean 'tests.optional.test_rate_command:wrapped'?"),
     ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
     ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
-    (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'); run where it is"),
+    (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'). Run in its folder"),
 ])  # fmt: skip
 def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
     assert rated_in(*arguments) == 2
@@ -166,7 +166,7 @@ def test_several_policies_are_compared_with_the_first(capsys, monkeypatch, crash
 def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
     crashing({"idm_mobil": crashes})  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
-    assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
+    assert ("received an interval that starts at" in capsys.readouterr().err) == bool(code)
 
 
 def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing):
@@ -179,13 +179,13 @@ def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing)
 def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
     arguments = ("--ads", "constant_speed@planner", "--fail-above", "50%", "--seed", "2")
     assert rate(*arguments, "--episodes", "5") == 2
-    told = "--episodes: expected more, received 5: even if all crash, so few do not show a share above 50%"
+    told = "--episodes: expected more, received 5. Even if all of them crash, so few cannot show a crash rate above 50%"
     assert told in capsys.readouterr().err
     assert rate(*arguments, "--episodes", "6") in (0, 1)
 
 
 @pytest.mark.parametrize(("arguments", "text"), [
-    *((["--fail-above", text], "--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received")
+    *((["--fail-above", text], "--fail-above: expected at least 0 and less than 1, such as 2% or 0.02, received")
       for text in ("2", "100%", "nan", "inf", "-0.1", "2%%", "%", "two")),
     (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
     (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
@@ -208,7 +208,7 @@ def test_rate_counts_driven_episodes():
     assert rate.lines == [
         "2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %)",
         "  seeds of the crashes: 1, 4",
-        "  1 episode never drove or ended in an error, which the rate ignores; seeds 5; the first: KeyError: 'gap'",
+        "  1 episode did not start or ended with an error, and do not count. Seeds: 5. First reason: KeyError: 'gap'",
     ]
 
 
@@ -220,7 +220,7 @@ def test_of_many_seeds_the_first_ten_are_told():
 def test_comparison_uses_seeds_that_crash_only_one_policy():
     first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
     (told,) = compared(first, [rated("b", s2="collision", s9="collision")])
-    assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5 (McNemar, exact, two-s" in told
+    assert "2 crashed only with a, 0 only with b, 1 with both and 6 with neither: p = 0.5 (McNemar, exact" in told
 
 
 ENDS = """\
@@ -246,4 +246,4 @@ def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["rate", "--world", "highway-fast-v0", "--episodes", "2"]
     told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%")
-    assert (told.code, "expected the process that drives to finish" in told.err) == (2, True), told
+    assert (told.code, "expected the process with the policy to finish" in told.err) == (2, True), told

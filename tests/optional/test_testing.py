@@ -217,7 +217,7 @@ def jumping(self, controls):
         car[0] += 3.0 * (self.ticks % 10 == 0)
 
 
-OBEYS, TURNS, MOVES = "control.acceleration of a vehicle", "control.steering of a vehicle", "where its heading points"
+OBEYS, TURNS, MOVES = "control.acceleration of a vehicle", "control.steering of a vehicle", "direction of its heading"
 KEEPS, SAME = "keeps its speed and its heading", "the same start with the same seed gives the same run"
 
 
@@ -231,50 +231,50 @@ KEEPS, SAME = "keeps its speed and its heading", "the same start with the same s
     (Toy, {"reference": "rear axle", "rear_axle_offset": 1.4, "inside": {"reference": "centre"}}, "turns about",
      "all fits with reference = 'centre'"),
     (Toy, {"states": lambda self: [(x + 2.5, *rest) for x, *rest in self.cars]}, "after start", "2.50 m ahead of"),
-    (Toy, {"states": lambda self: [(x - 1.4, *rest) for x, *rest in self.cars]}, "after start", "1.40 m behind where"),
-    (Toy, {"inside": {"hz": 10}}, "drives as far", "distance by the ego (car, lane 2); all fits with hz = 10.0"),
-    (Toy, {"hz": 50.0, "inside": {"hz": 1 / 0.03}}, "a vehicle drives as far", "all fits with hz = 33.333333"),
-    (Toy, {"metres": 0.3048, "lane_width": 12.0, "inside": {"metres": 1.0}}, "drives as far",
+    (Toy, {"states": lambda self: [(x - 1.4, *rest) for x, *rest in self.cars]}, "after start", "1.40 m behind the"),
+    (Toy, {"inside": {"hz": 10}}, "fits its speed", "distance for the ego (car, lane 2); all fits with hz = 10.0"),
+    (Toy, {"hz": 50.0, "inside": {"hz": 1 / 0.03}}, "a vehicle fits its speed", "all fits with hz = 33.333333"),
+    (Toy, {"metres": 0.3048, "lane_width": 12.0, "inside": {"metres": 1.0}}, "fits its speed",
      "all fits with metres_per_second = 0.3048"),
-    (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "inside": {"metres_per_second": 1.0}}, "drives as far",
+    (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "inside": {"metres_per_second": 1.0}}, "fits its speed",
      "all fits with metres_per_second = 1.0"),
     (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "gas": lambda self, each: each.acceleration * 3.6}, OBEYS,
-     "3.60 times that by the ego (car, lane 2); all fits with acceleration = 0.277778 times"),
+     "3.60 times that for the ego (car, lane 2); all fits with acceleration = 0.277778 times"),
     (Toy, {"gas": lambda self, each: each.acceleration / 3.6}, OBEYS, "(car, lane 2), as in km/h per second"),
     (Toy, {"wheels": lambda self, each: -each.steering}, TURNS, "all fits with steering = -1.0 times that in control"),
-    (Toy, {"wheels": lambda self, each: math.radians(each.steering)}, TURNS, "0.02 times that by the ego"),
-    (Toy, {"step": limited}, OBEYS, "times that by the ego"),
-    (Toy, {"gas": lambda self, each: 0.0}, OBEYS, "0.00 times that by the ego"),
-    (Toy, {"gas": lambda self, each: each.acceleration - 1.0}, KEEPS, "-1.5 m/s and +0.00 rad by the ego"),
-    (Toy, {"wheels": lambda self, each: each.steering + 0.02}, KEEPS, "+0.0 m/s and +0.09 rad by the ego"),
+    (Toy, {"wheels": lambda self, each: math.radians(each.steering)}, TURNS, "0.02 times that for the ego"),
+    (Toy, {"step": limited}, OBEYS, "times that for the ego"),
+    (Toy, {"gas": lambda self, each: 0.0}, OBEYS, "0.00 times that for the ego"),
+    (Toy, {"gas": lambda self, each: each.acceleration - 1.0}, KEEPS, "-1.5 m/s and +0.00 rad for the ego"),
+    (Toy, {"wheels": lambda self, each: each.steering + 0.02}, KEEPS, "+0.0 m/s and +0.09 rad for the ego"),
     (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, MOVES, "turned by -0.2"),
     (Toy, {"states": lambda self: [self.cars[0], *([x, y, 0.0, v] for x, y, _, v in self.cars[1:])]}, MOVES,
-     "by NPC 0 (car, lane 3), whose heading turned by 0.00 rad"),
+     "for NPC 0 (car, lane 3), whose heading turned by 0.00 rad"),
     (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, MOVES, "with headings = '-x to y'"),
     (Late, {}, "states() has the states after the step", "the first step does not move the ego"),
     (Late, {"states": lambda self: [Toy.states(self)[0], *self.seen[1:]]}, "states after the step", "not move NPC 0"),
-    (Worn, {}, SAME, "in a simulator that was used before; reset all in start"),
-    (Own, {}, SAME, "take random numbers from a generator that start makes from seed"),
+    (Worn, {}, SAME, "in a simulator that was used before; reset everything in start"),
+    (Own, {}, SAME, "draw random numbers from a generator that start creates from seed"),
     (Toy, {"gas": lambda self, each: each.acceleration + random.gauss(0.0, 0.001)}, SAME, "a generator that start"),
-    (Shared, {}, "simulators in a process share nothing, unless it states one_at_a_time = True", "while"),
-    (Toy, {"step": standing}, "a vehicle stops, stands and drives on by its control", "m/s after 9 s by the ego"),
-    (Toy, {"step": at_least(8.0, slice(1, None))}, "stops, stands and drives on", "8.0 m/s after 6 s and"),
-    (Toy, {"step": at_least(2.0, slice(0, 1))}, "stops, stands and drives on", "2.0 m/s after 6 s and"),
-    (Toy, {"step": on_rails}, TURNS, "-0.00 times that by NPC 0"),
-    (Toy, {"step": steady_npcs}, OBEYS, "-0.00 times that by NPC 0"),
+    (Shared, {}, "simulators in a process share nothing, unless the class states", "while"),
+    (Toy, {"step": standing}, "a vehicle stops, waits and drives on by its control", "m/s after 9 s for the ego"),
+    (Toy, {"step": at_least(8.0, slice(1, None))}, "stops, waits and drives on", "8.0 m/s after 6 s and"),
+    (Toy, {"step": at_least(2.0, slice(0, 1))}, "stops, waits and drives on", "2.0 m/s after 6 s and"),
+    (Toy, {"step": on_rails}, TURNS, "-0.00 times that for NPC 0"),
+    (Toy, {"step": steady_npcs}, OBEYS, "-0.00 times that for NPC 0"),
     (Toy, {"step": lambda self, controls: Toy.step(self, [*controls[1:], controls[0]])}, OBEYS, "of NPC 0 moves it"),
     (Toy, {"states": lambda self: Toy.states(self)[::-1]}, "after start", "in another order than start"),
     (Toy, {"states": lambda self: sorted(Toy.states(self))}, "after start", "in another order than start"),
-    (Toy, {"states": lambda self: self.cars[:4]}, "states() has finite numbers in shape (7, 4)", "[[150.0"),
-    (Toy, {"step": jumping}, "states() has the states after the step, without jumps", "by NPC 0 (car, lane"),
-    (Resized, {"size": lambda self, each: each._replace(length=each.width)}, TURNS, "is its width taken for"),
-    (Resized, {"size": lambda self, each: each._replace(length=5.0)}, "the length of a vehicle", "2.2 and 12 m"),
-    (Resized, {"size": lambda self, each: {"car": each, "van": each}[each.kind]}, "vehicles of each kind", "KeyError"),
+    (Toy, {"states": lambda self: self.cars[:4]}, "states() returns finite numbers of shape (7, 4)", "[[150.0"),
+    (Toy, {"step": jumping}, "states() has the states after the step, without jumps", "for NPC 0 (car, lane"),
+    (Resized, {"size": lambda self, each: each._replace(length=each.width)}, TURNS, "is its width used as"),
+    (Resized, {"size": lambda self, each: each._replace(length=5.0)}, "according to its length", "2.2 and 12 m"),
+    (Resized, {"size": lambda self, each: {"car": each, "van": each}[each.kind]}, "vehicles of all types", "KeyError"),
     (InOwnLanes, {"across": lambda self, lane: 4.0 * (3 - lane)}, "after start", "counted from the right"),
     (InOwnLanes, {"across": lambda self, lane: 3.5 * lane}, "after start", "0.875 times as wide as lane_width says"),
-    (WithDriver, {}, KEEPS, "by the ego (car, lane 2)"),
-    (WithDriver, {"drivers": (1, 2, 3, 4, 5, 6)}, KEEPS, "by NPC 1 ("),
-    (Toy, {"step": lambda self, controls: (Toy.step(self, controls), controls.pop())}, "step leaves", "Control("),
+    (WithDriver, {}, KEEPS, "for the ego (car, lane 2)"),
+    (WithDriver, {"drivers": (1, 2, 3, 4, 5, 6)}, KEEPS, "for NPC 1 ("),
+    (Toy, {"step": lambda self, controls: (Toy.step(self, controls), controls.pop())}, "does not change", "Control("),
     (Toy, {"close": lambda self: 1 / 0}, "close() returns in time and without an exception", "ZeroDivisionError"),
 ])  # fmt: skip
 def test_wrong_simulator_is_refused_with_what_was_expected_and_the_cause(base, members, expected, cause):
@@ -345,7 +345,7 @@ LATE = "a lagging drivetrain: control.acceleration of the ego takes effect {}, w
     (Toy, {"inside": {"length": 0.5}}, []),
     (Toy, {"gas": lambda self, each: each.acceleration + 0.05 * self.random.gauss(0.0, 1.0)}, []),
     (Delayed, {}, [LATE.format("0.07 s late"), "control.steering of the ego takes effect 0.07 s late"]),
-    (Lagging, {}, [LATE.format("0.23 s late"), "for NPCs that obey at once, set moves_ego_only = True"]),
+    (Lagging, {}, [LATE.format("0.23 s late"), "set moves_ego_only = True if NPCs obey immediately"]),
     (Lagging, {"hz": 240}, [LATE.format("0.28 s late"), "control.steering of the ego takes effect 0.27 s late"]),
     (DelayedEgo, {"ticks": 7}, [LATE.format("0.47 s late"), "control.steering of the ego"]),
     (Dragging, {}, [LATE.format("in part, 0.80 times")]),
@@ -423,5 +423,6 @@ def test_what_is_no_world_is_refused_with_the_way_out():
         def rollout(self, scenario, ads_factory):
             raise AssertionError
 
-    with pytest.raises(WorldError, match=r"a class derived from pafot\.Simulator, in a pafot\.SimulatorWorld"):
+    told = r"derive your own simulator from pafot\.Simulator, and pass it to pafot\.SimulatorWorld"
+    with pytest.raises(WorldError, match=told):
         check_world(Mine())

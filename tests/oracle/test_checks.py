@@ -97,7 +97,7 @@ def test_a_failure_travels_between_processes():
     [
         (1.0, {}, "expected at_most=, at_least= or both"),
         ("fast", {"at_most": 1.0}, "expected a number or an array of them, received 'fast'"),
-        (np.zeros((2, 3)), {"at_most": 1.0}, "shape (2, 3); check each NPC by itself"),
+        (np.zeros((2, 3)), {"at_most": 1.0}, "shape (2, 3). Check each NPC separately"),
         (np.array([]), {"at_most": 1.0}, "one value per tick"),
         (1.0, {"at_most": math.nan}, "expected a finite bound"),
         (1.0, {"at_most": True}, "expected a finite bound, received True"),
@@ -105,7 +105,7 @@ def test_a_failure_travels_between_processes():
         (10**400, {"at_most": 1.0}, "expected a number or an array of them"),
         (1.0, {"at_most": 2.0, "npc": 1.0}, "expected npc= as the index of an NPC"),
         (1.0, {"at_most": 2.0, "npc": -2}, "expected npc= as the index of an NPC"),
-        (1.0, {"at_most": 2.0, "at": -1.0}, "expected at= as seconds since the run began"),
+        (1.0, {"at_most": 2.0, "at": -1.0}, "expected at= as seconds since the start of the run"),
         (1.0, {"at_most": 2.0, "unit": "m\n"}, "expected a short printable unit"),
     ],
 )
@@ -117,7 +117,7 @@ def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
 
 @table("name", ["", " ", "a\nb", "x" * 61, None])
 def test_a_check_needs_a_name(name):
-    with pytest.raises(ValueError, match="printable text"):
+    with pytest.raises(ValueError, match="expected 1 to 60 printable characters"):
         pafot.check(1.0, name=name, at_most=2.0)
 
 

@@ -38,7 +38,7 @@ def test_place_is_before_in_or_past_the_zone(start, where):
 
 
 def test_merged_npc_has_a_cell_after_its_zone():
-    """It is on the ego's way from 4.1 s on, and out of the zone at 5.4 s."""
+    """It is on the ego's way from 4.1 s, and out of the zone at 5.4 s."""
     run = Run(junction_trace((MERGES, 0.0)))
     for tick, place in (
         (59, "from the right in the zone o2>o4"),
@@ -55,7 +55,7 @@ def test_collision_place_without_record_is_left_out():
     trace = replace(crash().trace, zones=(), on_way=None)
     run = Run(trace)
     assert run.impact == "The ego's front hit NPC 0 after 4.8 s, closing at 0.0 m/s"
-    assert run.sentences[0] == "NPC 0 kept 10.0 m/s and did not brake from 2.8 s on."
+    assert run.sentences[0] == "NPC 0 kept 10.0 m/s and did not brake after 2.8 s."
 
 
 def test_moments_of_a_run_include_crossing_npcs():
@@ -68,7 +68,7 @@ def test_moments_of_a_run_include_crossing_npcs():
     ("npc", "came"),
     [
         ((CROSSES, 0.0), "; arrived 0.1 s after it (5.6 s)"),
-        ((CROSSES, 10.0), "; there with it from 4.6 s"),
+        ((CROSSES, 10.0), "; both in the zone from 4.6 s"),
         ((CROSSES, 25.0), "; left 0.6 s before it (4.0 s)"),
         ((CROSSES, -60.0), "; never arrived"),
     ],
@@ -100,7 +100,7 @@ def test_explanations_stay_short_however_many_cross(count, others):
         assert all(len(line) < 100 and line.isascii() for line in lines)
     told = [line for line in lines if line.startswith("  NPC ") and "; " in line]
     left_out = count - len(told)
-    assert (f"  ... and {left_out} more that cross" in lines) is (left_out > 0)
+    assert (f"  ... and {left_out} more crossing NPCs" in lines) is (left_out > 0)
 
 
 @table("act", ACTS)

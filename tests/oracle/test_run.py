@@ -98,12 +98,12 @@ def test_explanation_covers_event_fault_and_npc_instructions():
         "The ego hit NPC 0 from behind after 2.0 s, closing at 10.0 m/s: 20.0",
         "  against 10.0 m/s",
         "  NPC 0, 21.0 m ahead of the ego at 0.0 s, kept 10.0 m/s.",
-        "  The ego kept 20.0 m/s and did not brake from 0.0 s on.",
+        "  The ego kept 20.0 m/s and did not brake after 0.0 s.",
         "  The ego is responsible.",
-        "  hardest brake of the ego: 0.0 m/s^2",
+        "  hardest braking by the ego: 0.0 m/s^2",
         "  from [s]  NPC 0                                 NPC 1",
         "       0.0  1 front-left 20.0 m/s in place 0.8 s  2 front 20.0 m/s not reached",
-        f"  scenario {crash().scenario.id}, repair seed 0",
+        f"  scenario {crash().scenario.id}, scenario seed 0",
     ]
 
 
@@ -125,7 +125,7 @@ def test_an_explanation_names_the_error_of_the_ads():
 def test_explanation_of_a_safe_run_names_worst_moment():
     lines = Run(closing(ticks=15)).explain().splitlines()
     assert lines[0] == "no collision in 1.0 s"
-    assert lines[1] == "  least time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
+    assert lines[1] == "  smallest time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
 
 
 @pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.SAFE, Outcome.COLLISION, Outcome.ADS_ERROR))

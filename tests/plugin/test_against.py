@@ -41,8 +41,8 @@ def test_regression_is_saved_with_its_passing_reference(changed):
     assert load(changed.only_file).expect.against == "planner_before:make"
     changed.result.stdout.fnmatch_lines(
         [
-            "It passes with the reference planner_before:make.",
-            "against planner_before:make: introduces 1 failure, fixes 0, 0 as before",
+            "The reference planner_before:make passes it.",
+            "compared with planner_before:make: 1 failure introduced, 0 fixed, 0 unchanged",
         ]
     )
 
@@ -79,8 +79,8 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
         [
             f"*found a failed assertion: test_it.py::test_keeps_its_speed?saved-{id_}?*",
             f"  No worse than planner_before:make: of {paired['runs']} random scenarios, {counts[:6]}*",
-            f"  Fails elsewhere: {id_} *",
-            "against planner_before:make: introduces 0 failures, fixes 0, 0 as before, 1 elsewhere",
+            f"  Not counted, because the reference fails as often in other scenarios: {id_} *",
+            "compared with planner_before:make: 0 failures introduced, 0 fixed, 0 unchanged, 1 in other scenarios",
         ]
     )
     assert told["exit"] == 0
@@ -98,15 +98,17 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
 
 def test_saved_scenario_label_compares_policy_and_reference(changed):
     for now, before, label, told in (
-        (SPEEDS, KEEPS, "still failing", "introduces 1 failure, fixes 0, 0 as before"),
-        (SPEEDS, BREAKS, "still failing", "introduces 0 failures, fixes 0, 1 as before"),
-        (KEEPS, SPEEDS, "passes", "introduces 0 failures, fixes 1, 0 as before"),
-        (KEEPS, f"{KEEPS}# as now\n", "passes", "introduces 0 failures, fixes 0, 0 as before"),
+        (SPEEDS, KEEPS, "still failing", "1 failure introduced, 0 fixed, 0 unchanged"),
+        (SPEEDS, BREAKS, "still failing", "0 failures introduced, 0 fixed, 1 unchanged"),
+        (KEEPS, SPEEDS, "passes", "0 failures introduced, 1 fixed, 0 unchanged"),
+        (KEEPS, f"{KEEPS}# as now\n", "passes", "0 failures introduced, 0 fixed, 0 unchanged"),
     ):
         policies(changed, now, before)
         result = changed.run(AGAINST, runs=0)
         result.assert_outcomes(skipped=1, **{"failed" if now is SPEEDS else "passed": 1})
-        result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}", f"against planner_before:make: {told}"])
+        result.stdout.fnmatch_lines(
+            [f"replayed 1 saved scenario: 1 {label}", f"compared with planner_before:make: {told}"]
+        )
 
 
 CRASHES = """
@@ -129,7 +131,7 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
     assert speeds[0] > speeds[1] + 1.0
     result = project.run(AGAINST, "--pafot-json=pafot.json", runs=0)
     worse = f"hits at {speeds[0]:.1f} m/s, {speeds[1]:.1f} before"
-    result.stdout.fnmatch_lines([f"1 of 1 failure in common became worse: {saved.id} {worse}"])
+    result.stdout.fnmatch_lines([f"1 of 1 unchanged failure became worse: {saved.id} {worse}"])
     told = json.loads((project.path / "pafot.json").read_text())["findings"][0]
     assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(speeds, abs=1e-3)
     assert worse in told["detail"]
@@ -143,7 +145,7 @@ def test_common_failure_hides_no_regression_of_same_kind(changed):
     policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
     result = changed.run(AGAINST)
     result.stdout.fnmatch_lines(
-        ["replayed 1 saved scenario: 1 still failing", "*introduces 1 failure, fixes 0, 1 as before"]
+        ["replayed 1 saved scenario: 1 still failing", "*1 failure introduced, 0 fixed, 1 unchanged"]
     )
     assert len(changed.files) == 2
 
@@ -154,7 +156,7 @@ def test_reference_may_come_from_a_named_fixture(project):
         + "\n@pytest.fixture\ndef old_ads():\n    import planner_before\n    return planner_before.make\n"
     )
     policies(project, SPEEDS, KEEPS)
-    project.run().stdout.fnmatch_lines(["against old_ads: introduces 1 failure, fixes 0, 0 as before"])
+    project.run().stdout.fnmatch_lines(["compared with old_ads: 1 failure introduced, 0 fixed, 0 unchanged"])
 
 
 def test_unrequested_fixture_as_reference_is_refused(failing):
@@ -172,8 +174,8 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
         result = changed.run(AGAINST, runs=0)
         result.assert_outcomes(failed=1, skipped=1)
         shown = " ".join(result.stdout.str().split())
-        assert "against (planner_before:make): expected a reference that drives, received TypeError: " in shown
-        assert "in this replay and 10 random scenarios; correct the reference, " in shown
+        assert "against (planner_before:make): the reference failed with TypeError: " in shown
+        assert "in this replay and in 10 random scenarios, so it never drives. Correct the reference, " in shown
     npcs = len(load(changed.only_file).scenario.npcs)
     raises = f"        assert len(observation.others) != {npcs}\n        return -1.0, 0.0"
     policies(changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n")
@@ -191,7 +193,7 @@ def test_next_session_names_reference_that_ended_the_last(project):
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            "*: none of 4 runs failed*the reference fails, too.",
+            "*: none of 4 runs failed*the reference also failed.",
             "*note: a process (pid *) died while the reference planner_before:make drove in <Scenario *>*nothing *",
         ]
     )
@@ -221,4 +223,4 @@ def test_policy_is_not_compared_with_itself(project, now, before, is_itself):
     assert (result.ret, json.loads((project.path / "pafot.json").read_text())["exit"]) == (code, code)
     if is_itself:
         result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a policy that differs *another name*"])
+        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a different policy*different name*"])

@@ -51,7 +51,7 @@ def test_unwritable_corpus_loses_no_finding(failing):
     (failing.path / "pafot_corpus").write_text("a file where the folder should be")
     result = failing.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["It is not saved: *expected to write a finding*", "The file would be:", "  pafot: 3"])
+    result.stdout.fnmatch_lines(["It is not saved: *expected to write a finding *", "The file would be:", "  pafot: 3"])
 
 
 RAISES = """
@@ -98,6 +98,6 @@ def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     saved.pytester.makeconftest(CONFTEST + late)
     result = saved.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*failures that were saved after*run it again:", f"*runs like {id_}"])
+    result.stdout.fnmatch_lines(["*run pytest again, since these failures were saved after*:", f"*runs like {id_}"])
     saved.pytester.makeconftest(CONFTEST)
     saved.run().assert_outcomes(failed=1, passed=1)

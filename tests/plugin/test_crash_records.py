@@ -16,7 +16,7 @@ def test_killed_session_causes_no_false_crash_of_replay(failing):
     for _ in range(2):
         result = failing.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
-        result.stdout.fnmatch_lines(["Replayed, it is still failing."])
+        result.stdout.fnmatch_lines(["Result of the replay: still failing."])
 
 
 def test_an_ads_that_raises_later_has_not_ended_its_process(project):
@@ -34,4 +34,4 @@ def test_it(run):
     project.leave_behind("test_it.py::test_it")
     result = project.run(runs=0)
     assert project.files == []
-    result.stdout.fnmatch_lines(["*ran to its end when it was tried again: the process was killed from outside*"])
+    result.stdout.fnmatch_lines(["*completed when it was repeated. The process was killed from outside*"])

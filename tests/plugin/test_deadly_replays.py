@@ -89,7 +89,7 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
         [
             "*[[]search[]]: * of 4 runs failed.",
             "  crash-*: * run* (known).",
-            "*note: ran as with --pafot-isolate, since a process died in this search before*",
+            "*note: ran in separate processes, as with --pafot-isolate, because a process died in this search earlier*",
             "*1 saved scenario: 1 still failing*",
         ]
     )
@@ -100,7 +100,7 @@ def test_search_runs_in_session_once_crash_is_fixed(crash):
     crash.mend()
     result = crash.run()
     result.assert_outcomes(passed=3)
-    result.stdout.fnmatch_lines(["*1 fixed"])
+    result.stdout.fnmatch_lines(["*1 passes (not found again)"])
     result.stdout.no_fnmatch_line("*--pafot-isolate*")
     assert not crash.records
 
@@ -112,7 +112,9 @@ def test_search_runs_isolated_after_a_session_died(project):
     assert project.run("-p", "cacheprovider", apart=True).ret == -signal.SIGSEGV
     result = project.run("-p", "cacheprovider", apart=True)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
-    result.stdout.fnmatch_lines(["*found *saved-crash-*", "*note: ran as with --pafot-isolate*"])
+    result.stdout.fnmatch_lines(
+        ["*found *saved-crash-*", "*note: ran in separate processes, as with --pafot-isolate, *"]
+    )
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
@@ -161,9 +163,9 @@ def test_crash_against_a_reference_is_introduced_or_common(crash):
     # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
     for before, runs, told, found in (
-        (keeps, 0, "introduces 1 failure, fixes 0, 0 as before", 0),
-        (drives, 0, "introduces 0 failures, fixes 0, 1 as before", 0),
-        (once, 1, "introduces 1 failure, fixes 0, 1 as before", 1),
+        (keeps, 0, "1 failure introduced, 0 fixed, 0 unchanged", 0),
+        (drives, 0, "0 failures introduced, 0 fixed, 1 unchanged", 0),
+        (once, 1, "1 failure introduced, 0 fixed, 1 unchanged", 1),
     ):
         crash.pytester.makepyfile(planner_before=f"from conftest import drive\n\n{before}")
         result = replayed(crash, "--pafot-against=planner_before:make", runs=runs)

@@ -39,7 +39,7 @@ def test_one_step_leads_into_the_policy(found, options):
     at = float(header.partition(" at ")[2].partition(" s:")[0])
     assert "NPC 0 is" in header
     assert f"('time', {at}, 0.0)" in output
-    assert "Replayed, it is still failing." in output
+    assert "Result of the replay: still failing." in output
     assert code == pytest.ExitCode.TESTS_FAILED
 
 

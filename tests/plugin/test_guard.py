@@ -148,7 +148,9 @@ def test_line_names_five_files_and_the_number_of_the_others(saved, ci):
     result = replay(saved)
     assert is_red(result)
     assert told(result) == [f"6 saved scenarios: {five} and 1 more"]
-    result.stdout.fnmatch_lines([f"this session left out 6 saved scenarios (CI is set; --*): {five} and 1 more"])
+    result.stdout.fnmatch_lines(
+        [f"this session did not run 6 saved scenarios (CI is set; allow it with --*): {five} and 1 more"]
+    )
 
 
 def test_every_output_has_what_a_session_left_out(saved, monkeypatch, tmp_path_factory):
@@ -162,8 +164,8 @@ def test_every_output_has_what_a_session_left_out(saved, monkeypatch, tmp_path_f
     record = json.loads((saved.path / "p.json").read_text())
     (orphan,) = record["orphans"]
     assert (record["exit"], orphan["folder"], orphan["files"], orphan["is_gone"]) == (1, FOLDER, 1, True)
-    assert "**Saved scenarios that were left out**" in summary.read_text()
-    assert '<error message="failed on setup with &quot;this session left out 1' in (saved.path / "j.xml").read_text()
+    assert "**Saved scenarios that were not replayed**" in summary.read_text()
+    assert '<error message="failed on setup with &quot;this session did not run 1' in (saved.path / "j.xml").read_text()
     shutil.move(saved.path / FOLDER, saved.path / f"{FOLDER}_fast")
     replay(saved).assert_outcomes(passed=1, skipped=1)
 
@@ -489,7 +491,7 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypa
     monkeypatch.setenv("CI", "true")
     result = replay(project, no_warning, "--pafot-allow-orphans")
     assert result.ret == 1
-    counted = "pytest does not collect 8 tests with a mark of pafot (CI is set): conftest.py::test_in_conftest, *"
+    counted = "pytest did not collect 8 tests with a mark of pafot (CI is set): conftest.py::test_in_conftest, *"
     result.stdout.fnmatch_lines([counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"])
     assert replay(project, no_warning, "test_it.py::test_once").ret == 0  # a narrower choice
 
@@ -553,5 +555,5 @@ def test_walk_ends_after_some_folders_and_says_so(saved, ci, monkeypatch):
     monkeypatch.setattr("pytest_pafot.plugin.guard.MAX_FOLDERS", 1)
     result = replay(saved)
     result.stdout.fnmatch_lines(
-        ["*problem: saved scenarios that this session left out: only 1 folders were searched *"]
+        ["*problem: the list of saved scenarios may be incomplete: only 1 folders were searched*"]
     )

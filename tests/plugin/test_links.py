@@ -42,7 +42,9 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     assert "HUSH" not in shown
     for number in range(6):
         name = folder / f"l-{number}.pafot.yaml"
-        result.stdout.fnmatch_lines([f"{name}: expected a file of its corpus, received a link that leads out of it; *"])
+        result.stdout.fnmatch_lines(
+            [f"{name}: expected a file inside the corpus, received a link that leads out of it; *"]
+        )
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
     failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
@@ -60,7 +62,7 @@ def test_overlong_links_and_names_do_not_end_session(failing):
         link.symlink_to("x" * 300)
     result = failing.run(runs=0)
     result.assert_outcomes(failed=2, skipped=1)
-    result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file of its corpus, received a link *"])
+    result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file inside the corpus, received a link *"])
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -89,7 +91,7 @@ def test_link_within_project_is_read_but_not_written(failing):
     before = all_in(failing.path / "shared")
     result = failing.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*saved-{id_}*", "Replayed, it is still failing."])
+    result.stdout.fnmatch_lines([f"*saved-{id_}*", "Result of the replay: still failing."])
     failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, which may lead to*"])
     assert all_in(failing.path / "shared") == before
 

@@ -14,7 +14,7 @@ def test_function_that_returns_a_value_is_refused(project):
     project.write("@pafot.search(SHORT)\ndef test_returns(run):\n    return run.min_ttc > 1\n")
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected the test function to assert*write `assert ...`*"])
+    result.stdout.fnmatch_lines(["*the test function returned False, but it must assert*Write `assert ...`*"])
     assert project.files == []
 
 
@@ -29,7 +29,7 @@ def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
 
 
 ONCE = ("pytest_benchmark", "pytest_codspeed", "syrupy")
-COLLECTS = "*received a function with the fixture '*', which collects failures*write `assert ...`*"
+COLLECTS = "*received one with the fixture '*', which only collects failures*Write `assert ...`*"
 FIXTURES = {"subtests": COLLECTS, "indirectly": COLLECTS}
 FIXTURES |= {f"of_{package}": f"*received one with the fixture 'of_{package}'*{package}*" for package in ONCE}
 OF_PACKAGE = """
@@ -80,7 +80,7 @@ def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.write(test.replace("LEAST", "99"))
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*received a function with pytest-check, which collects failures*"])
+    result.stdout.fnmatch_lines(["*received one with pytest-check, which only collects failures*"])
 
 
 def test_unsuitable_function_is_one_error_and_others_run(project):
@@ -128,12 +128,12 @@ def test_other():
     result = project.run()
     result.assert_outcomes(errors=9, passed=1)
     told = {
-        "test_async": "*expected a plain function, received an async function*write `def`*",
+        "test_async": "*expected a synchronous function, received an async function*Write `def`*",
         "TestCase.test_method": "*received a method of the unittest.TestCase TestCase*",
-        "test_nothing": "expected a parameter 'run'*name it, as in `def test_nothing(run)`",
-        "test_misspelt": "*expected a parameter 'run'*received the parameters (rnu); name it*",
+        "test_nothing": "expected a parameter 'run'*Add it, as in `def test_nothing(run)`",
+        "test_misspelt": "*expected a parameter 'run'*received the parameters (rnu). Add it*",
         "test_double": "*expected the parameter 'run' to be free for the simulated run*",
-        "test_raw": "*mark it with @pafot.search(...)*",
+        "test_raw": "*Mark the test with @pafot.search(...)*",
         "test_bare": "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*",
         "test_given": "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*",
     }
@@ -199,15 +199,15 @@ def test_given_and_search_on_one_function_are_refused(project):
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
-    ("today='a'", "*this applies to the whole session; give --pafot-today on the command line*"),
-    ("blame='npc'", "*(blame=...): expected one of any, ego, received 'npc'; use blame='ego'*"),
+    ("today='a'", "*this option applies to the whole session. Use --pafot-today on the command line*"),
+    ("blame='npc'", "*(blame=...): expected one of any, ego, received 'npc'. blame='ego'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     (
         "world=pafot.Highway",
         "*(world=...): expected pafot.Highway(...), pafot.World(...)*received <class*; call it: Highway(...)",
     ),
-    ("lanes=3", "*(lanes=...): expected an argument of a search*; write world=pafot.Highway(lanes=...)*"),
-    ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
+    ("lanes=3", "*(lanes=...): expected an argument of a search*. Write world=pafot.Highway(lanes=...)*"),
+    ("generations=0", "*(generations=0): expected at least 1, because 0 generations test nothing*"),
     ("shrink_rollouts=-1", "*(shrink_rollouts=...): expected a whole number, at least 0, received -1*"),
     ("algorithm='pytest:Nobody'", "*algorithm: expected a name in the module pytest, received 'pytest:Nobody'*"),
     ("algorithm='magic'", "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*"),
@@ -235,8 +235,8 @@ def test_wrong_argument_is_an_error_before_any_fixture(project):
 
 REFUSED = [
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-    ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 0*"),
-    ("SHORT, instructions='cell'", "*instructions: expected one of cells, lanes, both, received 'cell'*"),
+    ("gene_seconds=0", "*gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 0*"),
+    ("SHORT, instructions='cell'", "*instructions: expected one of cells, lanes, both, but received 'cell'*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
     ("fitness='best'", "*(fitness=...): *'best'*"),
@@ -248,7 +248,7 @@ REFUSED = [
 def test_argument_refused_by_world_or_run_fails_item(project):
     result = told_of(project, REFUSED)
     result.assert_outcomes(failed=len(REFUSED), passed=1)
-    result.stdout.no_fnmatch_line("*ended early; its findings are reported*")
+    result.stdout.no_fnmatch_line("*did not finish; its findings so far are reported*")
 
 
 def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
@@ -256,10 +256,10 @@ def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
     project.write("@pafot.search(ads='adss')\ndef test_drive(run):\n    pass\n")
     project.run().stdout.fnmatch_lines(
         [
-            "the fixture 'adss' that gives the ADS factory was not found; did you",
-            "  mean 'ads'[?]",
+            "the fixture 'adss', which returns the ADS factory, was not found; did",
+            "  you mean 'ads'[?]",
             "    def adss():",
-            'Or name another fixture with @pafot.search(ads="..."), or give a',
+            'Or name another fixture with @pafot.search(ads="..."), or pass a',
             "  factory: @pafot.search(ads=MyPlanner).",
         ]
     )
@@ -291,7 +291,7 @@ def test_skip_outside_the_test_function_is_an_error(project):
     result = project.run()
     result.assert_outcomes(failed=len(cases))
     for n, (where, _) in enumerate(cases):
-        told = f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"
+        told = f"*the {where}* raised *A skip is not allowed there*Call pytest.skip() in the fixture or*"
         shows(result, f"test_drive_{n}", told)
 
 
@@ -300,7 +300,7 @@ def test_xfail_in_the_test_function_hides_no_failure(saved):
     saved.write(source)
     result = saved.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*call no pytest.xfail(), which would hide a failure, received issue 12; *"])
+    result.stdout.fnmatch_lines(["*called pytest.xfail('issue 12'), which would hide a failure. *"])
 
 
 def test_skip_inside_a_scenario_does_not_hide_finds(project):
@@ -329,7 +329,7 @@ def test_skipping_every_scenario_skips_the_test(project, skip):
 
 
 def test_reject_outside_a_search_explains_its_use():
-    with pytest.raises(Rejected, match=r"discards a scenario of a @pafot.search test"):
+    with pytest.raises(Rejected, match=r"discards a scenario in a @pafot.search test"):
         pafot.reject()
 
 

@@ -101,12 +101,13 @@ def test_native_toml_takes_native_types(project):
     ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
     ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
     ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
-    ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected seconds"),
+    ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected a number of seconds"),
     ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
     ({"ini": "pafot_generations = as many"},
      "^ini key pafot_generations: expected a whole number, at least 0, received 'as many'$"),
     ({"ini": "pafot_generations ="}, "^ini key pafot_generations: expected a whole number.* received ''$"),
-    ({"ini": "pafot_max_time = soon"}, "^ini key pafot_max_time: expected seconds, at least 0, received 'soon'$"),
+    ({"ini": "pafot_max_time = soon"},
+     "^ini key pafot_max_time: expected a number of seconds, at least 0, received 'soon'$"),
     ({"ini": "pafot_isolate = perhaps"}, "^ini key pafot_isolate: expected true or false, received 'perhaps'$"),
 ])  # fmt: skip
 def test_wrong_value_error_names_source_expected_and_received(project, source, place):
@@ -119,12 +120,12 @@ def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
         settings(project, "--pafot-generations=5", marker={"generations": -3})
 
 
-NO_PAGE = "expected the name of a page FILE.html, received"
+NO_PAGE = "expected a file name such as FILE.html, received"
 
 
 @pytest.mark.parametrize(("option", "told"), [
     ("stop-after=one", "expected a whole number, at least 1, received 'one'"),
-    ("today=31.1.2027", "expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"),
+    ("today=31.1.2027", "expected a date such as 2027-01-31, received '31.1.2027'"),
     ("json=new/", "expected the name of a file, received 'new/'*new/pafot.json"),
     *((f"report={name}", NO_PAGE) for name in ("report.pdf", "report/", "report")),
 ])  # fmt: skip
@@ -179,13 +180,13 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
         monkeypatch.setenv("CI", "true")
     result = project.run(runs=4)
     result.assert_outcomes(skipped=1)
-    told = "  warning: test_it.py::test_skipped was skipped, so its policy did not drive: no weights"
+    told = "  warning: test_it.py::test_skipped was skipped, so its policy was not tested: no weights"
     assert (told in result.outlines) == is_ci
 
 
 def test_no_search_because_of_a_setting_is_told(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
     project.pytester.makeini("[pytest]\npafot_generations = 0\n")
-    told = "  note: no search ran: pafot_generations is 0 in the settings"
+    told = "  note: no search ran, because pafot_generations is 0 in the settings"
     assert told in project.run(runs=None).outlines
     assert told not in project.run(runs=0).outlines

@@ -79,13 +79,13 @@ def saved_wrapped(project):
     return project
 
 
-WAY_OUT = "a simulator of your own is a class derived from pafot.Simulator, in a pafot.SimulatorWorld"
+WAY_OUT = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
 
 
 @pytest.mark.parametrize(("world", "told"), [
     ("Ring()", f"received <test_it.Ring object at *>; {WAY_OUT}"),
     ("Ring", f"received <class 'test_it.Ring'>; {WAY_OUT}"),
-    ("Derived()", "received Derived(*; use pafot.Highway itself: a derived class may do anything*"),
+    ("Derived()", "received Derived(*; use pafot.Highway itself, because a file cannot describe*"),
     ("pafot.Highway", "received <class *Highway'>; call it: Highway(...)"),
 ])  # fmt: skip
 def test_what_is_no_world_of_the_package_is_refused_with_the_way_out(project, world, told):
@@ -109,8 +109,10 @@ def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_othe
     result = project.run(runs=0)
     result.assert_outcomes(failed=2, skipped=1)
     expected = "expected a file of a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
-    received = "received a simulator of the class Ring with a rollout of its own, which no version has any more"
-    result.stdout.fnmatch_lines([f"*old-000000.pafot.yaml:*: world: {expected}, {received}; search again *"])
+    received = "received a simulator of the class Ring with its own rollout, which is no longer supported"
+    result.stdout.fnmatch_lines(
+        [f"*old-000000.pafot.yaml:*: world: {expected}, {received}; derive a *, search again *"]
+    )
 
 
 # --- environments in wrappers

@@ -35,7 +35,7 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     project.write(TEST.replace("PERCEPTION", "range=0.0"))
     result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"Replayed, it is still failing: {change} a range of 0 m."])
+    result.stdout.fnmatch_lines([f"Result of the replay: still failing: {change} a range of 0 m."])
 
 
 def no_collision(run):

@@ -92,7 +92,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: correct *"
+OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day has passed: correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
@@ -149,9 +149,13 @@ def test_pass_without_its_situation_is_no_fix(project):
     told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
     result = project.run(*told, "--pafot-against=before:make", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    missed = "the situation did not come up: NPC"
+    missed = "the situation did not occur: NPC"
     result.stdout.fnmatch_lines(
-        ["*1 drifted", f"    {missed} ? was * m ahead in the ego's lane *", "*, fixes 0, 0 as before"]
+        [
+            "*1 drifted",
+            f"    {missed} ? was * m ahead in the ego's lane *",
+            "compared with before:make: *, 0 fixed, 0 unchanged",
+        ]
     )
     for name in ("junit.xml", "page.html", "session.json"):
         assert missed in (project.path / name).read_text(), name
@@ -255,7 +259,7 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
 
 
-OTHER_WORLD = "run in the world of the file, which is not the test's: world.lanes 4 in the file, 5 now"
+OTHER_WORLD = "run in the world of the file, not of the test: world.lanes 4 in the file, 5 now"
 
 
 def test_replay_says_that_the_test_names_another_world(saved):
@@ -263,7 +267,7 @@ def test_replay_says_that_the_test_names_another_world(saved):
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    assert f"Replayed, it is still failing: {OTHER_WORLD}" in " ".join(result.stdout.str().split())
+    assert f"Result of the replay: still failing: {OTHER_WORLD}" in " ".join(result.stdout.str().split())
     assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
     saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run(runs=0)
@@ -274,8 +278,8 @@ def test_replay_says_that_the_test_names_another_world(saved):
 def test_replay_says_that_the_test_names_other_traffic(saved):
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
     shown = " ".join(saved.run(runs=0).stdout.str().split())
-    named = "paper there, everyday now"
-    assert f"still failing: run in the traffic of the file, which is not the test's: {named}" in shown
+    named = "paper in the file, everyday now"
+    assert f"still failing: run in the traffic of the file, not of the test: {named}" in shown
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
     assert "in the traffic of the file" not in saved.run(runs=0).stdout.str()
 
@@ -363,7 +367,7 @@ def test_replay_in_which_a_simulator_lets_a_vehicle_jump_fails_even_if_its_failu
     monkeypatch.setenv("JUMPS_AT", "10000")
     project.run_once("--pafot-stop-after=1", runs=20)
     monkeypatch.setenv("JUMPS_AT", "20")
-    told = ["the replay says nothing about the ADS: Toy.states, tick 20: NPC 0 moved *"]
+    told = ["the replay cannot show whether the ADS drives well: Toy.states, tick 20: NPC 0 moved *"]
     project.run(runs=0).stdout.fnmatch_lines(told)
     edited(project, "found: ", "xfail: {reason: known, until: 2999-12-31}\nfound: ")
     result = project.run(runs=0)

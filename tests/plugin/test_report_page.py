@@ -54,7 +54,7 @@ def test_the_page_has_the_find_and_its_search(failing, page):
     assert finding.command == f"pytest 'test_it.py::test_fails[saved-{failing.only_id}]'"
     assert finding.file == failing.files[0]
     assert finding.data["times"][0] == 0
-    assert search.startswith("test_it.py::test_fails[search] runs 1 failing 1 ")
+    assert search.startswith("test_it.py::test_fails[search] runs 1 failed 1 ")
     assert search.endswith(" ended enough findings")
     assert html.escape(failing.only_file.read_text()) in text
     assert '<article class="error"' not in text
@@ -66,9 +66,9 @@ def test_page_counts_runs_of_new_and_known_findings(project, page):
     for label in ("new", "still failing"):
         project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", runs=8)
         text, findings, (search,) = read_page(page)
-        assert "shrunk" not in text
+        assert "Simplified" not in text
         assert {finding.label for finding in findings} == {label}
-        runs = int(re.search(r"failing (\d+)", search)[1])
+        runs = int(re.search(r"failed (\d+)", search)[1])
         assert sum(finding.runs for finding in findings) == runs > 2
 
 
@@ -103,15 +103,15 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text, findings, (search,) = read_page(page)
     assert {finding.id for finding in findings} == {name.split("/")[-1][:-11] for name in project.files}
-    assert "runs 2 failing 2 " in search
+    assert "runs 2 failed 2 " in search
     assert search.endswith("ended interrupted")
-    assert "The session was interrupted. This report has what ran before that." in text
+    assert "The session was interrupted. This report covers only what ran before." in text
 
 
 KEPT = "The property held in every evaluated run."
 NOT_KEPT = {
     "an ADS that fails at once": ("ads=lambda: lambda seen: None", "pass", "The search ended with an error."),
-    "a property that is misspelt": ("", "assert run.collided", "did you mean `run.collision`?"),
+    "a property that is misspelt": ("", "assert run.collided", "Did you mean `run.collision`?"),
     "a fitness that is no number": ("fitness=lambda trace: 'x'", "pass", "The search ended with an error."),
     "a search that tests nothing": ("", "pafot.reject()", "the search tested too little"),
 }
@@ -128,7 +128,7 @@ def test_page_shows_errors_first_and_claims_no_success(project, page):
     result.assert_outcomes(passed=1, failed=len(NOT_KEPT), errors=1)
     text = html.unescape(page.read_text(encoding="utf-8"))
     assert KEPT not in text
-    assert "No findings, but an error stopped something before its end." in text
+    assert "No findings, but an error ended a test or a search early." in text
     errors, main, rest = text.partition('<article class="error"')[2].partition("<main")
     assert main
     assert rest
@@ -143,8 +143,8 @@ def test_page_shows_errors_first_and_claims_no_success(project, page):
 @pytest.mark.parametrize(("body", "option", "ending"), [
     ("pass", "--pafot-max-time=60", KEPT),
     ("pass", "--pafot-max-time=0", "No findings before time ran out."),
-    ("raise KeyboardInterrupt", "-q", "No findings before the interrupt."),
-    ("pytest.exit('enough', returncode=3)", "-q", "No findings before the interrupt."),
+    ("raise KeyboardInterrupt", "-q", "No findings before the interruption."),
+    ("pytest.exit('enough', returncode=3)", "-q", "No findings before the interruption."),
 ])  # fmt: skip
 def test_page_without_findings_says_if_search_was_complete(project, page, body, option, ending):
     project.write(f"@pafot.search(SHORT)\ndef test_drive(run):\n    {body}\n")
@@ -167,7 +167,7 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
     project.write("def test_b():\n    pass\n")
     result = project.run("--pafot-report=report.html")
     assert not page.exists()
-    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: nothing was written*"])
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: not written, because*"])
 
 
 def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page, shrinking):

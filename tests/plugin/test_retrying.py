@@ -15,7 +15,7 @@ forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked
 
 OWNER = "test_it.py::test_it"
 TEST = "@pafot.search(SHORT, ads=ADS)\ndef test_it(run):\n    pass\n"
-INNOCENT = "*note: a process (pid *) died while it ran <Scenario *>, which ran to its end when it was tried again*"
+INNOCENT = "*note: a process (pid *) died while it ran <Scenario *>, which completed when it was repeated*"
 
 ELSEWHERE = """
 import os
@@ -126,7 +126,7 @@ def test_it(run, tmp_path):  # with a fixture, the session judges all runs
         assert project.run(apart=True, runs=20).ret == 9
     assert project.files == []
     assert left_in_the_end(project, 2), "of both sessions"
-    replayed(project).stdout.fnmatch_lines(["*something that builds up from run to run*"])
+    replayed(project).stdout.fnmatch_lines(["*something that accumulates from run to run*"])
     assert project.only_id.startswith("crash-")
     assert project.records == []
 
@@ -154,7 +154,7 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
 def test_inconclusive_retry_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)
-    replayed(project).stdout.fnmatch_lines(["*if it was killed from outside, delete the file"])
+    replayed(project).stdout.fnmatch_lines(["*If it was killed from outside, delete the file*"])
     assert project.only_id.startswith("crash-")
 
 

@@ -98,7 +98,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day is over: "
+    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day has passed: "
     assert warning.startswith(told)
 
 
@@ -290,7 +290,7 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     project.forget()
     result = project.run("-k", "test_b")
     (line,) = [line for line in result.outlines if line.startswith("::")]
-    assert re.search(r"::After \d\.\d s: ValueError: 50 %25 done", line)
+    assert re.search(r"::The policy failed after \d\.\d s: ValueError: 50 %25 done", line)
     assert not any(each.startswith("::warning") for each in [*result.outlines, *summary.read_text().splitlines()])
 
 

@@ -45,20 +45,20 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
                 result,
                 f"test_drive_{n}",
                 "*assert not run.collided",
-                "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                "E*This happened in all * runs*an error of the test function*use assert.",
+                "E*AttributeError: a run has no attribute 'collided'. Did you mean `run.collision`?",
+                "E*This happened in all * runs*an error in the test function and not a finding*Use assert if *.",
             )
         result.stdout.no_fnmatch_line("*pafot: found*")
         result.stdout.no_fnmatch_line("*During handling*")
-        result.stdout.no_fnmatch_line("*by the ego's fault*")
-        result.stdout.no_fnmatch_line("*known: *")
+        result.stdout.no_fnmatch_line("*responsible*")
+        result.stdout.no_fnmatch_line("*(known)*")
         assert project.files == []
         assert not (project.path / "pafot_corpus").exists()
 
     @pytest.mark.parametrize("option", ["-x", "--pafot-save=none", pytest.param("-n1", marks=pytest.mark.processes)])
     def test_whatever_the_session_does_with_failures(self, project, option):
         project.write(misspelt() + "\ndef test_other():\n    pass\n")
-        project.run(option).stdout.fnmatch_lines(["E*AttributeError: *did you mean `run.collision`?", "*1 failed*"])
+        project.run(option).stdout.fnmatch_lines(["E*AttributeError: *Did you mean `run.collision`?", "*1 failed*"])
         assert project.files == []
 
     def test_failing_first_decision_is_one_error_without_file(self, project):
@@ -179,26 +179,26 @@ def test_drive_NUMBER(run):
 """
 
 CONFIG = (
-    "A policy needs the config= and the wrappers= with which it was trained; a planner in SI units needs pafot.Highway"
+    "A policy needs the config= and the wrappers= with which it was trained. A planner in SI units needs pafot.Highway"
 )
 NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
 
 PREDICT = (
-    "It has a method 'predict': let the factory return a function of the observation that calls it, "
+    "It has a method 'predict'. Return a function that calls it with the observation, "
     "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
 )
 
 MESSAGES = {
-    "Planner": ["expected keyword arguments only", "write the argument's name, as in @pafot.search(ads=Planner)"],
-    "Planner()": ["expected keyword arguments only", "write the argument's name, as in @pafot.search(ads=...)"],
-    "model.predict": ["write the argument's name, as in @pafot.search(ads=predict)"],
+    "Planner": ["expected keyword arguments only", "Write the argument's name, as in @pafot.search(ads=Planner)"],
+    "Planner()": ["expected keyword arguments only", "Write the argument's name, as in @pafot.search(ads=...)"],
+    "model.predict": ["Write the argument's name, as in @pafot.search(ads=predict)"],
     "ads=Planner()": ["that can be called without arguments, received one with * (observation)", NO_FACTORY],
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=keep": [
         "with the signature (observation) ",
         "If keep is the ADS itself, write `lambda: keep`; if it makes one, `lambda: keep(...)`",
     ],
-    "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "write `lambda: lambda observation: ...`"],
+    "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "Write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
     "ads=lambda: model": [PREDICT],
     "ads=model": ["expected the name of a fixture or a factory such as `lambda: MyPlanner()`", PREDICT],
@@ -206,9 +206,12 @@ MESSAGES = {
     "ads='model.zip'": [
         "received 'model.zip'. Load a model in the factory, as in `ads=lambda: MyPlanner('model.zip')`"
     ],
-    "ads=Vehicle(None, [0, 0])": ["received Vehicle #*. Give the class itself, `Vehicle`, without calling it"],
-    "ads=lambda: Vehicle()": ["TypeError: *'road' and 'position'", "give its class itself, as in `ads=MyVehicle`"],
-    "ads=Configured": ["Give the arguments in a function, `lambda: Configured(...)`"],
+    "ads=Vehicle(None, [0, 0])": ["received Vehicle #*. Pass the class itself, `Vehicle`, without calling it"],
+    "ads=lambda: Vehicle()": [
+        "TypeError: *'road' and 'position'",
+        "pass its class without calling it, as in `ads=MyVehicle`",
+    ],
+    "ads=Configured": ["Pass the arguments in a function, `lambda: Configured(...)`"],
     "world=five, ads=lambda: model.predict": [
         "received (np.int64(1), None); (action, state) is what `model.predict` returns: use "
         "`model.predict(observation, deterministic=True)[0]`"
@@ -228,7 +231,7 @@ MESSAGES = {
     ],
     "world=five, ads=lambda: lambda seen: seen.ego": [
         "no attribute 'ego'",
-        "a planner in SI units needs pafot.Highway",
+        "A planner in SI units needs pafot.Highway",
     ],
     "world=five, ads=lambda: lambda seen: np.zeros(5)": ["return the number of the largest: `int(np.argmax(...))`"],
     "world=five, ads=lambda: lambda seen: 1.0": ["received 1.0; return `int(...)` of it"],
@@ -239,20 +242,22 @@ MESSAGES = {
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
     "world='builtins:print'": [
-        "the factory 'builtins:print' returns pafot.Highway(*, received None; return a world, such as pafot.World("
+        "the factory 'builtins:print' to return pafot.Highway(*, received None; return a world, such as pafot.World("
     ],
     "world='operator:neg'": [
-        "which raises TypeError: * takes exactly one argument (0 given); its argument is a text in the reference: *"
+        "which raises TypeError: * takes exactly one argument (0 given); add its argument to the string, as in *"
     ],
     "world=pafot.Highway": ["; call it: Highway(...)"],
     "world=Road()": [
         "expected pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...), received *Road object at *",
-        "; a simulator of your own is a class derived from pafot.Simulator, in a pafot.SimulatorWorld",
+        "; derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld",
     ],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
-    "world=gymnasium.make('CartPole-v1')": ["; a simulator of your own is a class derived from *"],
+    "world=gymnasium.make('CartPole-v1')": [
+        "; derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
+    ],
     "worlds=five": ["(worlds=...): did you mean 'world'? Expected one of ads, against, *, received 'worlds'"],
 }
 
@@ -279,7 +284,7 @@ def test_first_generation_error_counts_only_judged_runs():
     bench = SimpleNamespace(run=lambda scenario: run, finish=lambda run: broken)
     cause, state = cause_of(run, broken), State(first=object())
     state.counts += Counts(kinds=Counter(npc=1, failed=2, invalid=1), causes=Counter({cause: 2}))
-    with pytest.raises(SetupFaultError, match="all 2 runs of the first generation that were judged ended in"):
+    with pytest.raises(SetupFaultError, match="all 2 runs of the first generation with a verdict ended in"):
         check_set_up(state, bench, " of the first generation")
 
 
@@ -293,9 +298,9 @@ def steers(actions):
 
 def test_note_warns_of_wrong_units_or_action_order(project):
     told = {
-        "(0.0, 3.0)": "requested a steering angle of 3 rad, of which 0.79*convert degrees with math.radians*",
-        "(0.05, -6.0)": "an action is (acceleration, steering), in this order*",
-        "(80.0, 0.0)": "requested an acceleration of 80 m/s^2, of which 6*not a speed*",
+        "(0.0, 3.0)": "requested a steering angle of 3 rad, but only 0.79*Convert degrees with math.radians*",
+        "(0.05, -6.0)": "An action is (acceleration, steering), in this order*",
+        "(80.0, 0.0)": "requested an acceleration of 80 m/s^2, but only 6*not a speed*",
     }
     project.write(steers(told))
     lines = [each for n, line in enumerate(told.values()) for each in (f"*test_drive_{n}[[]search[]]: *", f"*{line}")]
@@ -355,9 +360,8 @@ class TestAReplayWithAFaultOfTheSetUp:
         result.assert_outcomes(failed=2, skipped=1)
         text = result.stdout.str()
         assert text.count("This happened in this replay and 10 random scenarios") == 1
-        assert text.count("It is the error of the set-up that test_it.py::test_fails[[]") == 0
+        assert text.count("The cause is an error in the set-up. See the failure of test_it.py::test_fails[saved-") == 1
         result.stdout.fnmatch_lines([f"the ADS failed: {SIGNATURES[call]}*"])
-        result.stdout.fnmatch_lines(["It is the error of the set-up that test_it.py::test_fails[[]saved-*"])
         assert "drifted" not in text
         assert '"status": "error"' in (two.path / "pafot.json").read_text()
         two.write(drives())
@@ -368,7 +372,7 @@ class TestAReplayWithAFaultOfTheSetUp:
         result = two.run(runs=0)
         result.assert_outcomes(failed=2, skipped=1)
         result.stdout.fnmatch_lines(
-            ["*This happened in this replay and 10 random scenarios*error of the test function*"]
+            ["*This happened in this replay and 10 random scenarios*error in the test function and not a finding*"]
         )
         assert "drifted" not in result.stdout.str()
 

@@ -87,7 +87,9 @@ def test_ordinary(number):
     id_ = found.rpartition("/")[2].removesuffix(".pafot.yaml")
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_dies[[]saved-{id_}[]]*"])
     assert "Different tests were collected" not in result.stdout.str()
-    result.stdout.fnmatch_lines(["*ended early; its findings*", "*problem: a process (pid *) died while test_it.py::*"])
+    result.stdout.fnmatch_lines(
+        ["*did not finish; its findings*", "*problem: a process (pid *) died while test_it.py::*"]
+    )
 
 
 def test_the_hash_seed_changes_nothing(project, monkeypatch):

@@ -22,8 +22,8 @@ from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
 
 FACT = "NPC 0 moved into lane 1 at 2.1 s, 2.8 m ahead of the ego."
-DEED = "The ego kept 20.0 m/s and did not brake from 2.1 s on."
-VERDICT = "The ego is responsible. A careful driver who takes over 1.25 s before the impact at the latest avoids it."
+DEED = "The ego kept 20.0 m/s and did not brake after 2.1 s."
+VERDICT = "The ego is responsible. A careful driver could avoid it by taking over 1.25 s before the impact or earlier."
 HEADLINE = "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s"
 ROWS = (("", ("line 7: gap < 5  (gap = 6.8) -> False", "line 9: lane == 1 -> True")),)
 MOMENT = Moment(
@@ -59,19 +59,19 @@ def test_a_block_reads_so():
         "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s.",
         FACT,
         DEED,
-        "The ego is responsible. A careful driver who takes over 1.25 s before the impact",
-        "  at the latest avoids it.",
-        "At 4.2 s the policy saw NPC 0 6.7 m ahead, and answered acceleration 0.2 m/s^2;",
+        "The ego is responsible. A careful driver could avoid it by taking over 1.25 s",
+        "  before the impact or earlier.",
+        "At 4.2 s the policy saw NPC 0 6.7 m ahead, and chose acceleration 0.2 m/s^2;",
         "  with NPC 0 4 m nearer acceleration -6.0 m/s^2.",
         "  line 7: gap < 5  (gap = 6.8) -> False",
-        "31 of 40 runs failed alike; the worst, number 28, hits at 11.4 m/s.",
+        "31 of 40 runs failed in the same way; the worst, number 28, hits at 11.4 m/s.",
         f"replay {AGAIN}",
     ]
 
 
 LONG = f"{FACT[:-1]}{', and then it moved on' * 3}."
 """A sentence of two lines."""
-LEFT_OUT = ("line 7", "the policy saw", "did not brake", "no generator", "failed alike", "the reference idm")
+LEFT_OUT = ("line 7", "the policy saw", "did not brake", "no generator", "failed in the same way", "reference idm")
 """Some words of what a block leaves out, in this order."""
 REFERENCE = {"expect": {"against": "idm"}}
 
@@ -91,10 +91,10 @@ def test_a_block_that_would_be_too_long_leaves_out_what_is_less_important(count)
 
 def test_what_a_replay_was_stays_longest():
     text, lines = block(sentences=(FACT, DEED, " ".join([LONG] * 5)), label="drifted", detail="numpy 1 then, 2 now")
-    assert "Replayed, it is drifted: numpy 1 then, 2 now." in text
+    assert "Result of the replay: drifted: numpy 1 then, 2 now." in text
     assert "did not brake" not in text
     assert lines <= ROOM
-    assert "Replayed, it is still failing." in block(label="still failing")[0]
+    assert "Result of the replay: still failing." in block(label="still failing")[0]
 
 
 def test_a_whole_block_has_all_that_is_known():
@@ -104,7 +104,7 @@ def test_a_whole_block_has_all_that_is_known():
     text, lines = block(**more, beyond="crash", expect={"against": "idm"})
     for part in (
         FACT, DEED, VERDICT, "with NPC 0 hidden the same", "line 7", "line 9", "x" * 100, "accepted",
-        "It was simplified from 2 NPCs", "It passes with the reference idm.", "received `crash`",
+        "It was simplified from 2 NPCs", "The reference idm passes it.", "received `crash`",
         "no generator",
     ):  # fmt: skip
         assert part in text, part
@@ -127,7 +127,7 @@ def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
     accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
     text, lines = block(finding=accepted, label="still failing", beyond="NPC 1 hit the ego from behind")
     told = "It is not accepted: the line `xfail:` of corpus/a.pafot.yaml accepts "
-    assert f"{told}`The ego's front hit NPC 0 after 12.4 s`, received `NPC 1 hit the ego from behind`; " in text
+    assert f"{told}`The ego's front hit NPC 0 after 12.4 s`, but received `NPC 1 hit the ego from behind`. " in text
     assert lines <= ROOM
     assert "not accepted" not in block(finding=accepted, label="accepted")[0]
 
@@ -135,9 +135,9 @@ def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
 @table(("world", "flaky", "advice"), [
     ({}, NOT_REPEATED, DRAWS),
     ({"wrappers": ["t.py::wrap"]}, NOT_REPEATED, DRAWS_IN_WRAPPERS),
-    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; the policy had decided otherwise", DRAWS),
-    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; {SURVIVES}", "it does not repeat, so it is not simplified"),
-    ({}, "another reason", "it does not repeat, so it is not simplified"),
+    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; the policy had decided differently", DRAWS),
+    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; {SURVIVES}", "it was not simplified, because its runs differ"),
+    ({}, "another reason", "it was not simplified, because its runs differ"),
 ])  # fmt: skip
 def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
     finding = {"flaky": flaky, "world": plain_finding().world | world}
@@ -146,10 +146,10 @@ def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
 
 
 def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
-    assert "31 of 40 runs failed alike; the worst, number 28, hits at 11.4 m/s." in block(runs=40)[0]
+    assert "31 of 40 runs failed in the same way; the worst, number 28, hits at 11.4 m/s." in block(runs=40)[0]
     assert "alike" not in block(runs=1, alike=Alike())[0]
-    assert "No other run failed alike. replay" in block(runs=9, alike=Alike())[0]
-    assert "31 of 40 runs failed alike. replay" in block(runs=40, severity=HARDER)[0]
+    assert "No other run failed in the same way. replay" in block(runs=9, alike=Alike())[0]
+    assert "31 of 40 runs failed in the same way. replay" in block(runs=40, severity=HARDER)[0]
     assert "alike" not in block()[0]
 
 
@@ -170,7 +170,7 @@ ALSO = f"Also in this run: {HEADLINE}; ego at fault."
     ({"assertion": "not run.off_road"}, "left the road", (), {"text": "left"},  # which the headline has
      ["t.py:52: left the road."]),
     (RAISED, "ZeroDivisionError: division by zero", (), {"place": ""},
-     ["After 3.8 s: ZeroDivisionError: division by zero.", *ERROR.splitlines()[:2]]),
+     ["The policy failed after 3.8 s: ZeroDivisionError: division by zero.", *ERROR.splitlines()[:2]]),
     (CRASHED, "died", (), {"text": "It was ended by SIGABRT"}, ["It was ended by SIGABRT."]),
 ])  # fmt: skip
 def test_what_is_no_plain_collision_begins_with_what_failed_and_where(expect, headline, sentences, assertion, lines):
@@ -189,11 +189,11 @@ def test_a_block_fits_the_terminal_except_for_its_command(width):
 
 @table(("expect", "what"), [
     ({}, "a collision"),
-    ({"outcome": Outcome.HANG, "npc": None}, "a decision that hangs"),
-    (RAISED, "an error of the policy"),
+    ({"outcome": Outcome.HANG, "npc": None}, "a decision that hung"),
+    (RAISED, "an error in the policy"),
     ({"assertion": "run.min_ttc > N"}, "a failed assertion"),
     (CHECK, "a failed check"),
-    (CRASHED, "a process that dies"),
+    (CRASHED, "a process that died"),
 ])  # fmt: skip
 def test_a_new_finding_has_one_line_while_its_search_continues(expect, what):
     assert found_line(seen(expect=expect, node_id="t\xe9::x")) == f"pafot: found {what}: t\\xe9::x"

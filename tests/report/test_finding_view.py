@@ -131,7 +131,7 @@ def test_headline_and_prose_are_from_run_by_default():
     assert (view.event.kind, view.event.npc, view.event.side) == ("collision", hit.npc, hit.side)
     assert view.event.time == pytest.approx(hit.time, abs=0.001)
     assert view.headline == f"{Run(rear_trace()).impact}: {hit.ego_speed:.1f} against {hit.npc_speed:.1f} m/s"
-    assert words_of(view)[0].startswith("Hardest brake of the ego: ")
+    assert words_of(view)[0].startswith("Hardest braking by the ego: ")
     assert view_of(rear_trace(), headline="H").headline == "H"
 
 
@@ -146,7 +146,7 @@ def test_takeover_is_above_the_picture():
     assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
-    careful = "A careful driver who takes over 1.25 s before the impact at the latest avoids it."
+    careful = "A careful driver could avoid it by taking over 1.25 s before the impact or earlier."
     assert view.sentences == (first, *others[:-1], f"NPC 0 is responsible. {careful}")
     assert view.deed == ""  # NPC 0 is responsible
     (prose,) = words_of(view)
@@ -180,15 +180,16 @@ class MovingLeft(ControlledVehicle):
         super().act("LANE_LEFT")
 
 
-def test_deed_of_a_vehicle_class_that_changes_lanes_names_no_action():
+def test_page_says_when_a_lane_change_started_as_the_terminal_does():
     world = pafot.World("highway-v0", duration=15.0)
     trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
     assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
-    view = view_of(trace, finding_of(trace, world=world.to_dict()))
-    assert (
-        view.deed == "The ego began to change lanes at 0.0 s, over the line at 0.1 s."
-    )  # it moves from the first tick
-    assert view.sentences == (view.deed, *Run(trace).sentences)
+    view, (moved, *others) = view_of(trace, finding_of(trace, world=world.to_dict())), Run(trace).sentences
+    assert moved.startswith("The ego moved into lane 0 at 0.1 s, ")
+    # It moves from the first tick.
+    assert view.deed == f"The ego began to change lanes at 0.0 s and {moved.removeprefix('The ego ')}"
+    assert view.sentences == (view.deed, *others)
+    assert not any(moved in words for words in words_of(view))  # each fact once
 
 
 def test_the_command_survives_a_shell():
@@ -211,7 +212,7 @@ def test_prose_says_how_it_shrank():
     before = described(scenario([(2, 8.0)] * 2, [(4, 20.0)]), finding.longest_run)
     finding = replace(finding, shrunk=Shrunk(rollouts=41, before=before))
     view = view_of(trace, finding)
-    assert words_of(view)[-1] == "Shrunk: From 2 instructions to 3 instructions in 41 runs."
+    assert words_of(view)[-1] == "Simplified: From 2 instructions to 3 instructions in 41 runs."
 
 
 DISCRETE = {"kind": "gym", "config": {"action": {"type": "DiscreteMetaAction"}}}

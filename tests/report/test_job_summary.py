@@ -62,7 +62,7 @@ def test_worst_finding_comes_first_in_each_group():
     for some, order in (([*findings[:4], *findings[5:]], "bdacf"), (findings[1:], "ebdcf")):
         text = told(*some)
         assert "".join(re.findall(r"corpus/(\w)\.pafot", text)) == order
-    assert "collision after 5.4 s; the reference fails, too; worse: hits at 12.1 m/s, 8.0 before\n" in text
+    assert "collision after 5.4 s; the reference also fails; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
 def test_job_summary_without_findings_has_two_lines(snapshot):
@@ -86,7 +86,7 @@ def test_long_lists_are_cut():
     lines = told(*fixed).splitlines()
     assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
     assert lines[-1] == "- ... and 5 more: see `python -m pytest_pafot corpus list`"
-    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} fixed"
+    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} passes (not found again)"
 
 
 def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted(snapshot):
@@ -106,7 +106,7 @@ def test_a_failure_comes_with_its_sentences_and_the_decision(snapshot):
 def test_job_summary_says_how_many_random_scenarios_failed():
     one = search(random=Counter(runs=20, at_fault=1, otherwise=15, checks=14))
     other = replace(search(random=Counter(runs=19, at_fault=2)), node_id="y[search]")
-    assert told(searches=[one, other]).splitlines()[3:] == ["Of 39 random scenarios, 18 failed."]
+    assert told(searches=[one, other]).splitlines()[3:] == ["18 of 39 random scenarios failed."]
 
 
 def test_job_summary_reports_search_failures_and_problems(snapshot):

@@ -185,7 +185,7 @@ def test_an_error_of_the_policy_is_the_egos():
     expect = replace(finding.expect, traceback=error.traceback)
     view = view_of(trace, replace(finding, expect=expect), headline="ValueError: no plan")
     assert view.moment == (("The traceback", "", (("", ("  line 3", "ValueError: no plan")),)),)
-    assert view.headline == f"The ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
+    assert view.headline == f"The policy failed after {view.event.time:.1f} s: ValueError: no plan"
     assert "1 policy error" in finding_list([view])
 
 
@@ -194,5 +194,5 @@ def test_page_shows_errors_without_a_finding():
     failures = {("t.py::test_c[search]", "call"): "E   ValueError: no <plan>", ("t.py::test_d", "setup"): "x"}
     page = page_of(searches=(failed,), failures=failures)
     assert "<p>The search ended with an error.</p><pre>E   ValueError: no &lt;plan&gt;</pre>" in page
-    assert "It failed, and no finding on this page shows why." in page
-    assert "No findings, but an error stopped something before its end." in page
+    assert "It failed, but no finding on this page explains why." in page
+    assert "No findings, but an error ended a test or a search early." in page

@@ -62,7 +62,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
     assert f"<li>{told}</li>" in finding_article(view, 0)
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
     explanation = Run(trace).explain()
-    assert explanation.endswith(f", repair seed 7, {told}")
+    assert explanation.endswith(f", scenario seed 7, {told}")
     assert f"<li>{told}</li>" in finding_article(view_of(trace), 0)
 
 

@@ -18,7 +18,7 @@ RANKED = [
     ("new", "none", 4, None),
     ("still failing", "ego", 9, 30.0),
 ]
-"""Findings: the label, responsibility, other runs that failed alike, and closing speed."""
+"""Findings: the label, responsibility, other runs that failed in the same way, and closing speed."""
 
 
 def seen(place, label, responsible, repeats, closing):
@@ -43,8 +43,8 @@ def test_findings_of_each_test_are_together_under_its_name_the_worst_test_first(
 def test_facts_include_replay_labels_and_versions():
     replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
     facts = dict(session_facts([], replays))
-    assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
-    assert facts["fixed"] == "t[t2]: no such failure in 40 runs"
+    assert facts["replayed"] == "3 saved scenarios: 2 passes (not found again), 1 still failing"
+    assert facts["passes (not found again)"] == "t[t2]: no such failure in 40 runs"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
 
@@ -54,9 +54,9 @@ def test_further_finding_has_what_it_is_and_its_command(monkeypatch):
     further = as_seen(real_views()[0], finding={"id": "z1"}, headline="hit <b>", path="a b.pafot.yaml")
     shown = page_of(*real_views(), further, failures={("t.py::t", "setup"): "x"})
     assert "<title>t: 1 error, 3 findings</title>" in shown
-    assert "<h2>1 further finding</h2>" in shown
-    assert "the 2 worst findings whole" in shown
+    assert "<h2>1 more finding</h2>" in shown
+    assert "the 2 worst findings in full" in shown
     again = "python -m pytest &#x27;a b.pafot.yaml&#x27;"
     assert f"<li><b>z1</b> hit &lt;b&gt;<br><code>{again}</code></li>" in shown
-    assert f"the worst {WHOLE} are whole" in BY_NAME["report"].details
-    assert "further finding" not in real_page()
+    assert f"the worst {WHOLE} in full" in BY_NAME["report"].details
+    assert "more finding" not in real_page()

@@ -51,7 +51,7 @@ SEARCH = Search(
     warnings=(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
-    notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
+    notes=("stopped by --pafot-max-time: the same seed may find other scenarios next time",),
 )
 
 
@@ -61,7 +61,7 @@ CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(
 @table(("found", "simplest", "is_minimal", "line"), [
     ([[CUT_IN, AHEAD], [AHEAD]], [[AHEAD]], True, "from 2 NPCs, 3 instructions, 20 s to 1 NPC, 1 instruction, 10 s"),
     ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
-    ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s, and could be simpler"),
+    ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s; a simpler one may exist"),
     ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
     (None, [[AHEAD]], False, None),
     (None, [[AHEAD]], True, None),
@@ -95,8 +95,8 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
 
 
 @table(("failing", "otherwise", "runs", "lines"), [
-    (1, 15, 20, ["18 of 48 runs failed", "Of 20 random scenarios, 16 failed: 80.0 % (95 %: 56.3 to 94.3 %)."]),
-    (0, 0, 20, ["18 of 48 runs failed", "Of 20 random scenarios, none failed: 0 % (95 %: at most 16.8 %)."]),
+    (1, 15, 20, ["18 of 48 runs failed", "16 of 20 random scenarios failed: 80.0 % (95 %: 56.3 to 94.3 %)."]),
+    (0, 0, 20, ["18 of 48 runs failed", "None of 20 random scenarios failed: 0 % (95 %: at most 16.8 %)."]),
     (3, 15, 44, ["18 of 44 random scenarios failed: 40.9 % (95 %: "]),  # of 48 runs, 4 evaluated nothing
     (0, 0, 0, ["18 of 48 runs failed"]),
 ])  # fmt: skip
@@ -143,7 +143,7 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
 def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
     search = replace(SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4))
     lines = terminal.search_lines(search)
-    assert "1 skipped) and 7 to simplify what failed; 12,280 decisions." in " ".join(map(str.strip, lines))
+    assert "1 skipped) and 7 to simplify failures; 12,280 decisions." in " ".join(map(str.strip, lines))
     cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
     assert f"  It ended early, after 48 of 100 runs: {Ending.INTERRUPTED}." in terminal.search_lines(cut)
 
@@ -185,21 +185,24 @@ def test_progress_is_one_line_with_the_name_cut():
     line = terminal.progress_line(progress)
     assert len(line) <= 80
     assert line.startswith("pafot: ...xxx")
-    assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
-    assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failing, 1 new, 13 s a run")
+    assert line.endswith("3/100 generations, 9 runs, 2 failed, 1 new, 3 runs/s")
+    assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failed, 1 new, 13 s per run")
     narrow = terminal.progress_line(progress, 39)
     assert (len(narrow), narrow.endswith("xxx 3/100 generations, ")) == (39, True)
     after = "shrinking saved-front-2-1f3a9c, run 3 of at most 300"
     assert terminal.progress_line(replace(progress, phase=after), 100).endswith(after)
 
 
+LIMIT = "limit it with --pafot-max-time=600"
+
+
 @table(("runs", "seconds", "fields", "end"), [
-    (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8/s"),
-    (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1/s, about 7 min left at 10 ms a decision"),
-    (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, "h left at 200 ms a decision; --pafot-max-time=600 ends it"),
-    (4, 80.0, {"left": 7920, "is_limited": True}, "20 s a run, about 2.2 h left"),
-    (400, 8000.0, {"decision_seconds": 0.2}, "20 s a run"),
-    (0, 0.0, {}, "0 new, 0/s"),
+    (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8 runs/s"),
+    (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1 run/s, about 7 min left at 10 ms per decision"),
+    (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, f"h left at 200 ms per decision; {LIMIT}"),
+    (4, 80.0, {"left": 7920, "is_limited": True}, "20 s per run, about 2.2 h left"),
+    (400, 8000.0, {"decision_seconds": 0.2}, "20 s per run"),
+    (0, 0.0, {}, "0 new, 0 runs/s"),
 ])  # fmt: skip
 def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, fields, end):
     progress = Progress(

@@ -104,31 +104,33 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
 @pytest.mark.parametrize("search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name)
 def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evaluation):
     rng = np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
+    with pytest.raises(RuntimeError, match="tell: expected a state from ask"):
         search.tell(search.start(rng), [make_evaluation()], rng)
     state, asked = search.ask(search.start(rng), rng)
     for scenarios in (asked, ()):
-        with pytest.raises(RuntimeError, match=f"ask: expected tell .*, which gave {len(scenarios)} scenarios"):
+        with pytest.raises(
+            RuntimeError, match=f"ask: expected a call of tell .*, which returned {len(scenarios)} scenarios"
+        ):
             search.ask(replace(state, asked=scenarios), rng)
     evaluations = [make_evaluation(scenario) for scenario in asked]
-    with pytest.raises(ValueError, match="tell: expected 4 evaluations, one per scenario, received 3"):
+    with pytest.raises(ValueError, match="tell: expected 4 evaluations, one per scenario, but received 3"):
         search.tell(state, evaluations[:3], rng)
-    with pytest.raises(ValueError, match=r"at 0, received the evaluation of .*; keep the order"):
+    with pytest.raises(ValueError, match=r"at 0, but received the evaluation of .*\. Keep the order"):
         search.tell(state, evaluations[::-1], rng)
 
 
 @table(("given", "message"), [
-    ("genetic", r"expected one of random, pafot, .*, received 'genetic'; or give module:Class"),
+    ("genetic", r"expected one of random, pafot, .*, but received 'genetic'\. Use module:Class"),
     ("rand", r"received 'rand'; did you mean 'random'\?"),
     ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
     ("tests.searching.test_algorithms:Onw", r"expected a name in the module tests.searching.test_algorithms, received "
-     r"'tests.searching.test_algorithms:Onw'; did you mean 'tests.searching.test_algorithms:Own'\?"),
+     r"'tests.searching.test_algorithms:Onw'\. Did you mean 'tests.searching.test_algorithms:Own'\?"),
     ("builtins:<lambda>",
-     "expected a name in the module builtins, received 'builtins:<lambda>'; it has __build_class__, __import__"),
-    (RandomSearch(), r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class"),
-    (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
-    (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
-    (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),
+     r"in the module builtins, received 'builtins:<lambda>'\. The module has __build_class__, __import__"),
+    (RandomSearch(), r"expected one of random, .*, a class, or module:Class, but received RandomSearch\(.* the class"),
+    (Nameless, r"expected a class with name, start, ask and tell, but Nameless has no start, tell, name\."),
+    (GenerationalSearch, r"but GenerationalSearch has no propose, start, name\."),
+    (Borrowed, r"expected a unique name for Borrowed, but received 'pafot'"),
 ])  # fmt: skip
 def test_wrong_algorithm_error_names_what_is_expected(given, message):
     with pytest.raises(ValueError, match=f"algorithm: .*{message}"):
@@ -141,7 +143,7 @@ def test_option_offers_exactly_the_existing_algorithms():
 
 def test_custom_fitness_is_a_function_or_its_name(make_evaluation):
     assert resolve("tests.searching.test_algorithms:own_fitness") == resolve(own_fitness)
-    told = r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
+    told = r"fitness: expected a name in the module .*, received .*\. Did you mean '.*:own_fitness'"
     with pytest.raises(FitnessError, match=told):
         resolve("tests.searching.test_algorithms:own_fitnes")
 
@@ -177,5 +179,5 @@ def test_a_new_best_is_reported_once(make_evaluation):
 
 
 def test_an_empty_population_is_refused():
-    with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, received 0"):
+    with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, but received 0"):
         Fresh(population=0)

@@ -18,9 +18,9 @@ from pytest_pafot.searching.algorithms.av_fuzzer import (
     distance,
     farthest,
     features,
-    mutated,
+    mutate_manoeuvre,
     roulette,
-    swapped,
+    swap_npc,
 )
 from pytest_pafot.searching.evaluation import (
     Evaluated,
@@ -89,7 +89,7 @@ class TestOperators:
         a, b = scenarios(2)
         generator, seen = rng(), set()
         for _ in range(20):
-            first, second = swapped(a, b, generator)
+            first, second = swap_npc(a, b, generator)
             npc = next(npc for npc in (0, 1) if first.npcs[npc] == b.npcs[npc])
             assert second.npcs[npc] == a.npcs[npc]
             assert (first.npcs[1 - npc], second.npcs[1 - npc]) == (a.npcs[1 - npc], b.npcs[1 - npc])
@@ -100,7 +100,7 @@ class TestOperators:
         (given,), generator = scenarios(1), rng(1)
         kinds, places = Counter(), Counter()
         for _ in range(DRAWS):
-            child = mutated(given, SPACE, generator)
+            child = mutate_manoeuvre(given, SPACE, generator)
             changed = [
                 (npc, gene, before, after)
                 for npc, (old, new) in enumerate(zip(given.npcs, child.npcs, strict=True))

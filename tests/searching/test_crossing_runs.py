@@ -7,7 +7,7 @@ import pytest
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import Evaluation, has_interaction
-from pytest_pafot.searching.fitness import FITNESSES, Steered, before_impact, resolve, weighted
+from pytest_pafot.searching.fitness import FITNESSES, Steered, before_impact, default_fitness, resolve
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
 from tests.helpers.traces import blamed_on
@@ -26,22 +26,22 @@ def collision():
 
 
 def test_smaller_time_between_entries_is_always_worse():
-    fitness = [weighted(run_of(enters)) for enters in (20.0, 13.0, 11.0, 10.3, 9.8)]
+    fitness = [default_fitness(run_of(enters)) for enters in (20.0, 13.0, 11.0, 10.3, 9.8)]
     assert fitness == sorted(fitness)
     assert len(set(fitness)) == 5
     assert all(0 <= each <= 1 for each in fitness)
-    assert weighted(collision()) > 1
+    assert default_fitness(collision()) > 1
 
 
 def test_npc_that_enters_first_counts_as_much():
-    after, before = ([weighted(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1))
+    after, before = ([default_fitness(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1))
     assert after[0] > after[1]
     assert before[0] > before[1]
 
 
 def test_npc_on_grid_is_measured_alongside_distant_crossing():
     alone = driven(EGO, plan("grid", 6.0, 9.0), others=(plan("north straight", 60.0, 9.0),))
-    assert weighted(alone) > weighted(run_of(60.0))
+    assert default_fitness(alone) > default_fitness(run_of(60.0))
 
 
 @table("name", [name for name in FITNESSES if name not in ("paper", "default")])

@@ -15,9 +15,9 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.searching import RandomSearch, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
-from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot
+from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, sample_slot
 from pytest_pafot.searching.evaluation import Evaluated, EvaluationCache
-from pytest_pafot.searching.operators import crossover, mutate, varied
+from pytest_pafot.searching.operators import breed, crossover, mutate
 from pytest_pafot.searching.space import sample
 from tests.helpers.campaigns import run_campaign
 from tests.helpers.crossings import clashes, junction, way_of
@@ -68,7 +68,7 @@ def test_drawn_and_varied_scenarios_fit_without_any_clash(space, seed, variation
     check(a, space)
     check(b, space)
     for _ in range(variations):
-        a, b = varied((a, b), space, 0.7, 0.7, rng)
+        a, b = breed((a, b), space, 0.7, 0.7, rng)
         a = mutate(crossover(a, b, rng)[0], space, rng)
         check(a, space)
         check(b, space)
@@ -87,7 +87,7 @@ def test_all_zones_acts_and_slots_are_drawn():
 
 def test_slots_are_rather_near_the_ego():
     rng = np.random.default_rng(0)
-    slots = np.array([drawn_slot(rng) for _ in range(4000)])
+    slots = np.array([sample_slot(rng) for _ in range(4000)])
     assert np.abs(slots).max() <= 5
     shares = [np.mean(np.abs(slots) <= 1), np.mean((np.abs(slots) > 1) & (np.abs(slots) <= 3)), np.mean(slots > 0)]
     assert shares == pytest.approx([0.72, 0.2, 0.5], abs=0.03)
@@ -97,30 +97,30 @@ def test_where_nobody_clashes_nothing_is_drawn():
     rng = np.random.default_rng(0)
     npcs = ((crosses(),), (PositionInstruction(2, 8.0),), (crosses(slot=3.0),))
     before = rng.bit_generator.state
-    assert TRAFFIC.cleared(npcs, rng) == npcs
+    assert TRAFFIC.without_conflicts(npcs, rng) == npcs
     assert rng.bit_generator.state == before
 
 
 @given(seeds)
 def test_later_of_two_clashing_npcs_is_redrawn(seed):
     npcs = ((crosses(),), (crosses(slot=0.8, act="hold"),))
-    first, second = TRAFFIC.cleared(npcs, np.random.default_rng(seed))
+    first, second = TRAFFIC.without_conflicts(npcs, np.random.default_rng(seed))
     assert first == npcs[0]
     assert second != npcs[1]
     assert not JUNCTION.clash(first[0], second[0])
 
 
 def test_unresolvable_npc_comes_last_or_is_left_out(monkeypatch):
-    monkeypatch.setattr(CrossingTraffic, "drawn", lambda self, rng: crosses(speed=6.0))
-    monkeypatch.setattr("pytest_pafot.searching.crossing_traffic.drawn_slot", lambda rng: 0.5)
+    monkeypatch.setattr(CrossingTraffic, "sample", lambda self, rng: crosses(speed=6.0))
+    monkeypatch.setattr("pytest_pafot.searching.crossing_traffic.sample_slot", lambda rng: 0.5)
     first, last, behind = crosses(speed=6.0), crosses(slot=5.0, speed=6.0), PositionInstruction(2, 8.0)
     npcs = ((first,), (crosses(speed=6.0, act="stop"),), (behind,), (crosses(speed=6.5),))
-    assert TRAFFIC.cleared(npcs, np.random.default_rng(0)) == ((first,), (last,), (behind,))
+    assert TRAFFIC.without_conflicts(npcs, np.random.default_rng(0)) == ((first,), (last,), (behind,))
 
 
 def test_npc_without_a_start_cell_crosses_instead():
     crowd = tuple((PositionInstruction(cell, 8.0),) for cell in (1, 2, 3))
-    kept = TRAFFIC.cleared(crowd, np.random.default_rng(0))
+    kept = TRAFFIC.without_conflicts(crowd, np.random.default_rng(0))
     assert kept[:2] == crowd[:2]
     assert isinstance(kept[2][0], CrossingInstruction)
 
@@ -128,7 +128,7 @@ def test_npc_without_a_start_cell_crosses_instead():
 def test_ways_without_possible_start_raise_clear_error():
     at_once = way_of("o1>o3", "crossing", "left", (88.0, 95.0), (0.0, 8.0))
     space = SearchSpace(crossings=junction(ways={"o1>o3": at_once}, meetings={}), most_on_grid=0)
-    with pytest.raises(ValueError, match=r"crossings: expected ways on which an NPC can start .* received 1 on which"):
+    with pytest.raises(ValueError, match=r"crossings: expected paths on which an NPC can start .*number of paths: 1"):
         sample(space, np.random.default_rng(0))
 
 
@@ -146,7 +146,7 @@ def test_npcs_in_one_zone_swap_their_parts():
 
 def test_every_part_of_an_instruction_varies():
     instruction, rng = crosses(), np.random.default_rng(0)
-    new = [TRAFFIC.varied(instruction, rng) for _ in range(300)]
+    new = [TRAFFIC.vary(instruction, rng) for _ in range(300)]
     moved = [each.slot for each in new if (each.zone, each.speed, each.act) == ("o1>o3", 8.0, "pass")]
     assert 0.4 < len(moved) / len(new) < 0.6
     assert np.abs(np.array(moved) - 0.5).mean() < 1.0

@@ -13,7 +13,7 @@ from pytest_pafot import criticality
 from pytest_pafot.attribution.responsibility import Attribution
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.fitness import FitnessError, Steered, before_impact, paper, resolve, risks, weighted
+from pytest_pafot.searching.fitness import FitnessError, Steered, before_impact, default_fitness, paper, resolve, risks
 from tests.helpers.tables import table
 from tests.helpers.traces import blamed_on, collision_at, random_states, scenario_of, trace_of, vehicle
 
@@ -59,23 +59,23 @@ class TestWeighted:
     def test_is_the_mean_of_the_four_risks(self):
         ttc, gap, shortfall, time = 1 / (1 + 2 / 1.5), 1 / 21, 1 / 3, 0
         assert risks(following()) == pytest.approx((ttc, gap, shortfall, time))
-        assert weighted(following()) == pytest.approx((ttc + gap + shortfall + time) / 4)
+        assert default_fitness(following()) == pytest.approx((ttc + gap + shortfall + time) / 4)
 
     def test_collision_adds_one_and_share_of_remaining_time(self):
         # Overlap: TTC risk 1, gap risk 1, shortfall 1; 6 s of the planned 60 s.
-        assert weighted(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
+        assert default_fitness(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
 
     @given(seeds, without_collision)
     def test_lies_between_zero_and_one_without_a_collision(self, seed, outcome):
-        assert 0 <= weighted(random_trace(seed, outcome)) <= 1
+        assert 0 <= default_fitness(random_trace(seed, outcome)) <= 1
 
     @given(seeds, without_collision)
     def test_any_collision_outranks_any_run_without(self, seed, outcome):
-        assert weighted(random_trace(seed, outcome)) < weighted(rammed())
+        assert default_fitness(random_trace(seed, outcome)) < default_fitness(rammed())
 
     def test_an_earlier_collision_is_worse(self):
         late = trace_of(vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION)
-        assert weighted(late) < weighted(crash())
+        assert default_fitness(late) < default_fitness(crash())
 
     def test_only_a_collision_before_the_end_of_the_plan_has_a_risk_by_its_time(self):
         assert risks(harmless(outcome=Outcome.ADS_ERROR))[3] == 0
@@ -85,7 +85,7 @@ class TestWeighted:
 
     def test_closer_is_worse(self):
         runs = [trace_of(vehicle(0, speed=20), vehicle(x, speed=18)) for x in (80, 40, 20, 10, 6)]
-        values = [weighted(run) for run in runs]
+        values = [default_fitness(run) for run in runs]
         assert values == sorted(values)
         assert len(set(values)) == 5
 
@@ -127,14 +127,14 @@ class TestEveryNamedFitness:
 
 class TestResolve:
     def test_default_is_the_weighted_one(self):
-        assert resolve()(following()) == resolve("default")(following()) == weighted(following())
+        assert resolve()(following()) == resolve("default")(following()) == default_fitness(following())
 
     @table("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
     def test_a_function_may_return_any_real_number(self, value):
         assert resolve(lambda trace: value)(following()) == float(value)
 
     def test_a_partial_and_a_measure_are_functions(self):
-        assert resolve(partial(weighted))(following()) == weighted(following())
+        assert resolve(partial(default_fitness))(following()) == default_fitness(following())
         assert resolve(criticality.hardest_brake)(following()) == 0
 
     def test_a_function_never_sees_an_invalid_run(self):
@@ -148,7 +148,7 @@ class TestResolve:
         def odd(trace):
             return value
 
-        with pytest.raises(FitnessError, match=r"expected odd to return a number, received .*; return a float"):
+        with pytest.raises(FitnessError, match=r"expected odd to return a number, but received .*\. Return a float"):
             resolve(odd)(following())
 
     def test_function_that_raises_is_explained_with_its_cause(self):
@@ -174,7 +174,7 @@ class TestResolve:
         def two(trace, limit):
             return 0.0
 
-        with pytest.raises(FitnessError, match=r"called with one Trace, received two\(trace, limit\).*defaults"):
+        with pytest.raises(FitnessError, match=r"called with one Trace, but received two\(trace, limit\).*defaults"):
             resolve(two)
 
 

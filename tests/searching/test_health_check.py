@@ -37,7 +37,7 @@ def test_a_search_that_went_well_warns_of_nothing(make_evaluation):
 def test_a_search_without_a_run_is_vacuous():
     assert Health().vacuous
     assert Health().warnings() == [
-        "no scenario was simulated, so nothing was tested; give the search generations and time"
+        "no scenario was simulated, so nothing was tested. Give the search more time, or more generations."
     ]
 
 
@@ -52,9 +52,9 @@ def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
 
 GOAL = {"ended": "GoalEnv._is_terminated", "duration": 8.0, "gap": 3.2}
 ENDED = (
-    "ended early without a collision, by GoalEnv._is_terminated, {} of them with a vehicle within two seconds of the "
-    "ego; the smallest gap to a vehicle in these runs was 3.2 m; correct what ended them, or let them go on with "
-    'ends="duration" in a pafot.World'
+    "ended early without a collision, by GoalEnv._is_terminated. In {} of them, a vehicle was within two seconds of "
+    "the ego. The smallest gap to a vehicle was 3.2 m. Correct what ended them, or let them continue with "
+    'ends="duration" in a pafot.World.'
 )
 
 
@@ -84,8 +84,8 @@ def test_leaving_the_road_is_an_early_end_with_its_own_advice(make_evaluation):
     health = health_of(make_evaluation, (3, GOAL), (6, GOAL | {"ended": LEAVING[Outcome.OFF_ROAD]}))
     (warning,) = health.warnings()
     assert "100 % (9) of 9 runs" in warning
-    assert "by the ego's leaving the road (6) and GoalEnv._is_terminated (3), 0 of them" in warning
-    assert warning.endswith("check the units and axes of the world, and of what the ADS returns")
+    assert "by the ego's leaving the road (6) and GoalEnv._is_terminated (3). In 0 of them" in warning
+    assert warning.endswith("Check the units and axes of the world, and of the actions of the ADS.")
 
 
 @table("seconds", [0.3, 1.0, 1.1])
@@ -122,8 +122,8 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     invalid = {"outcome": Outcome.INVALID}
     assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []
     assert health_of(make_evaluation, (2, {}), (1, invalid)).warnings() == [
-        "33 % (1) of 3 simulated scenarios tested nothing, because two NPCs, or an NPC and a fixed object, touched; "
-        "use fewer NPCs, more lanes or shorter runs"
+        "33 % (1) of 3 simulated scenarios tested nothing, because an NPC touched another NPC or a fixed object. "
+        "Use fewer NPCs, more lanes or shorter runs."
     ]
 
 
@@ -135,7 +135,7 @@ def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, e
     assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []
     (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()
     assert warning.startswith(expected)
-    assert "; " in warning  # and the way out
+    assert ". " in warning  # and the way out
 
 
 def test_invalid_runs_do_not_count_as_without_interaction(make_evaluation):

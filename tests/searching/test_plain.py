@@ -107,7 +107,7 @@ def test_custom_dataclass_is_stored_without_untyped_fields():
 
 
 def test_what_json_cannot_hold_is_refused():
-    with pytest.raises(ValueError, match=r"expected a value that JSON can hold.*received <object"):
+    with pytest.raises(ValueError, match=r"expected a value that JSON can store.*received <object"):
         plain([object()])
 
 
@@ -125,7 +125,7 @@ def test_what_json_cannot_hold_is_refused():
     (Steps, [0.5, 3], "", "a list of 3"),
     (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
     (Evaluation, plain([None]) * 17, "[0]", "a scenario"),
-    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "m/s"),
+    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "a speed of at least 0 m/s"),
     (Collision | None, [], "", "a list of 8"),
 ])  # fmt: skip
 def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):

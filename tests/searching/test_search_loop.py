@@ -181,7 +181,7 @@ def test_local_generations_are_added_after_the_last_generation(make_evaluation):
 
 
 @table(("arguments", "message"), [
-    ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
+    ({"generations": 0}, "generations: expected a whole number, at least 1, but received 0"),
     ({"seed": -1}, "seed: expected a whole number, at least 0"),
 ])  # fmt: skip
 def test_arguments_out_of_range_are_refused_early(arguments, message):

@@ -22,7 +22,7 @@ def test_without_metadrive_the_error_names_the_extra(monkeypatch):
 
 def test_with_a_later_python_the_error_names_the_python(monkeypatch):
     monkeypatch.setattr(metadrive, "version_info", (3, 13, 1))
-    with pytest.raises(WorldError, match=r"received Python 3.13; in an environment of Python 3.11, which both need"):
+    with pytest.raises(WorldError, match=r"received Python 3.13; in a Python 3.11 environment, which MetaDrive needs"):
         _ = pafot.metadrive().road
 
 
@@ -47,7 +47,7 @@ def test_wrong_arguments_are_refused_by_name(monkeypatch, arguments, message):
 
 
 def test_another_vehicle_than_metadrives_is_refused():
-    with pytest.raises(WorldError, match="ego: expected MetaDrive's own vehicle, received 'truck'; leave ego= out"):
+    with pytest.raises(WorldError, match="ego: expected MetaDrive's own vehicle, received 'truck'; omit ego="):
         pafot.metadrive(ego="truck")
 
 

@@ -62,13 +62,13 @@ def of_another_python(package):
     (rewrite("room/one.py", b"\n", b"\r\n"), ""),
     (lambda package: (package / "room" / "one.py").touch(), ""),
     (lambda package: (package / "room" / ".#one.pxd").symlink_to("nothing"), ""),
-    (rewrite("room/one.py", b"1", b"2"), "does not match room/one.py;"),
-    (rewrite("room/two.pxd", b"int", b"double"), "does not match room/two.pxd;"),
-    (add_two, "does not match new;"),
-    (remove("room/two.py", "room/two.pxd"), "does not match room/two.pxd;"),
-    (remove(f"room/two{SUFFIX}"), "does not match two;"),
-    (remove(RECORD), "does not match room/one.pxd;"),
-    (rewrite(RECORD, b"one.py\n", b"on"), "does not match "),
+    (rewrite("room/one.py", b"1", b"2"), "do not match room/one.py."),
+    (rewrite("room/two.pxd", b"int", b"double"), "do not match room/two.pxd."),
+    (add_two, "do not match new."),
+    (remove("room/two.py", "room/two.pxd"), "do not match room/two.pxd."),
+    (remove(f"room/two{SUFFIX}"), "do not match two."),
+    (remove(RECORD), "do not match room/one.pxd."),
+    (rewrite(RECORD, b"one.py\n", b"on"), "do not match "),
     (of_another_python, compiled.ABSENT),
 ])  # fmt: skip
 def test_it_says_what_differs_from_what_was_compiled(package, change, reason):
@@ -90,7 +90,7 @@ def test_stale_modules_are_not_imported_and_one_line_says_so(package, monkeypatc
         compiled.load("room")
     assert (room.one.VALUE, room.two.VALUE) == (2, 1)
     (text,) = (str(each.message) for each in told)
-    assert "does not match room/one.py; install again" in text
+    assert "do not match room/one.py. Install again" in text
     assert "\n" not in text
 
 

@@ -122,10 +122,10 @@ def test_tuples_and_arrays_become_lists_with_equal_meaning():
     ({"kind": "sumo", "lanes": 3}, "world (kind sumo): expected the field data, received lanes"),
     ({"kind": "highway", "ego": "tram"}, "ego: vehicle: expected one of car, van, truck, motorcycle, or pafot.Veh"),
     ({"kind": "highway", "ego": {"name": "slow", "length": 9, "width": 2, "braking": 5}},
-     "ego: expected a vehicle that brakes with at least 6"),
+     "ego: expected a vehicle that can brake at 6"),
     ({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]}, "world.wrappers: expected none, "
-     "since a file holds no code, received ['FlattenObservation']; give pafot.World(..., wrappers=[...]) in the "
-     "test, or by --world module:factory"),
+     "because a file contains no code, received ['FlattenObservation']; use pafot.World(..., wrappers=[...]) in the "
+     "test, or --world module:factory"),
     ({"kind": "highway", "lane": 3}, "world (kind highway): expected the fields ads_hz, clearance, duration, "),
     ({"kind": "highway", "lanes": 9}, "lanes: expected a whole number from 3 to 6, received 9"),
     ({"kind": "highway", "limits": 5}, "world.limits: expected a mapping, received 5"),

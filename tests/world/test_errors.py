@@ -31,7 +31,7 @@ def hold(*cells, speed=20.0, **fields):
     ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
     ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
     ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
-    ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
+    ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs can reach 1.1 times the limit"),
     ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
     ({"physics_hz": 1000, "ads_hz": 600},
      "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000"),
@@ -76,9 +76,11 @@ def test_invalid_number_for_a_limit_is_refused(name, value):
 def test_limits_that_contradict_npc_behaviour_are_refused():
     with raises("limits.heading: expected a number from 0.01 to 0.785398, so that no NPC drives sideways, received 1"):
         NpcLimits(heading=1)
-    with raises("limits.overspeed: expected a number from 1 to 8, so that target speeds up to the limit can be driven"):
+    with raises(
+        "limits.overspeed: expected a number from 1 to 8, so that NPCs can reach target speeds up to the limit"
+    ):
         NpcLimits(overspeed=0.9)
-    with raises("speed_limit: expected at most 20.0 m/s, because NPCs may drive 2 times the limit"):
+    with raises("speed_limit: expected at most 20.0 m/s, because NPCs can reach 2 times the limit"):
         Highway(limits=NpcLimits(overspeed=2))
 
 
@@ -114,7 +116,7 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
      "config.observation.weights: expected one number for each colour, so that "),
     ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [2000, 2000],
                                     "stack_size": 100, "weights": [0.2, 0.6, 0.2]}},
-     "config.observation: expected at most 10000000 numbers, received about 400000000; give it fewer features, "),
+     "config.observation: expected at most 10000000 numbers, received about 400000000; use fewer features, "),
     ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [500, 500, 500],
                                     "stack_size": 1, "weights": [0.2, 0.6, 0.2]}},
      "config.observation.observation_shape: expected at most 2 entries, so that "),
@@ -170,7 +172,7 @@ def test_every_highway_env_environment_runs_or_says_why(env_id):
             world.check()
     elif env_id.startswith("parking"):
         with raises(
-            f"{env_id}: expected an ego that starts on a lane and in its direction, because the grid runs along"
+            f"{env_id}: expected an ego that starts in a lane and in the direction of that lane, because the grid"
         ):
             world.check()
     else:
@@ -201,7 +203,7 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     with pytest.raises(WorldError) as caught:
         World(env_id).check()
     message = str(caught.value)
-    roads = "highway-env's straight roads are highway-fast-v0, highway-v0; import the"
+    roads = "highway-env's straight roads are highway-fast-v0, highway-v0; for your own"
     assert f"received {env_id!r}; {roads}" in message
     assert 'write a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")' in message
     assert meant is ... or ("did you mean" in message) == (meant is not None)
@@ -212,8 +214,8 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     ([], "config: expected a dict of the environment's options, received []"),
     ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
     ({"zebra": 3}, "config: expected options of highway-v0, received zebra; it has action, centering_position"),
-    ({1: 2}, "config: expected text as keys, received 1"),
-    ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected plain data (numbers, text"),
+    ({1: 2}, "config: expected strings as keys, received 1"),
+    ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected JSON-compatible data (n"),
     ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
     ({"action": {}}, "raised KeyError: 'type'"),
     ({"lanes_count": 0}, "config: expected a configuration that the environment highway-v0 accepts, received"),

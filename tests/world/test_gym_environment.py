@@ -391,7 +391,7 @@ def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, 
             self.shield = keeper(self.vehicle)
 
     register("mine-v0", entry_point=Keeping)
-    with pytest.raises(WorldError, match="received Keeping, whose `shield` keeps the ego that its reset made"):
+    with pytest.raises(WorldError, match="received Keeping, whose `shield` keeps the ego of its reset"):
         World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
     assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
 
@@ -578,7 +578,7 @@ def test_custom_step_is_used_on_straight_roads_too(register):
 
 
 class Bothered(HighwayEnv):
-    """A straight road on which ``bother`` does something to other vehicles before each step from 2 s on."""
+    """A straight road on which ``bother`` does something to other vehicles before each step from 2 s."""
 
     def step(self, action):
         if self.time >= 2.0:
@@ -650,7 +650,9 @@ def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received
         return
     with pytest.raises(WorldError) as refused:
         world.rollout(scenario, IDLE)
-    assert fnmatch(str(refused.value), f"*received {cls.__name__}*, {received}; let only `_reset` make *")
+    assert fnmatch(
+        str(refused.value), f"*received {cls.__name__}*, {received}; create other vehicles only in `_reset`, *"
+    )
 
 
 class Slowing(HighwayEnv):
@@ -954,19 +956,20 @@ def test_ego_does_not_start_at_an_obstacle(register):
     register("mine-v0", entry_point=Blocked)
     world = World("mine-v0", duration=12.0)
     ahead = (
-        "from the ego's start at (200, 4) m to 2 s ahead of it at 22 m/s, received lane 1, with one at (202.5, 4.0) m"
+        "from the ego's start at (200, 4) m to 2 s ahead of it at 22 m/s, received lane 1, in which an object is at "
+        "(202.5, 4.0) m"
     )
     blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
     with pytest.raises(ScenarioError, match=re.escape(f"{ahead}; write ego_lane=0")):
         world.rollout(blocked, IDLE)
-    with pytest.raises(ScenarioError, match=re.escape("received lane 2, with one at (244.0, 8.0) m")):
+    with pytest.raises(ScenarioError, match=re.escape("received lane 2, in which an object is at (244.0, 8.0) m")):
         world.rollout(replace(blocked, ego_lane=2), IDLE)
     slow = world.rollout(replace(blocked, ego_lane=2, ego_speed=20.0), lambda: lambda seen: 4)
     assert (slow.collision.npc, slow.ticks > 15) == (None, True)
     for run in (world.rollout, world.rollout_in_gym):
         free = replace(blocked, ego_lane=0)
         assert run(free, IDLE).ticks > 0
-        with pytest.raises(ScenarioError, match=re.escape("received lane 0, with one at (194.0, 0.0) m")):
+        with pytest.raises(ScenarioError, match=re.escape("received lane 0, in which an object is at (194.0, 0.0) m")):
             run(free, Lorry)
 
 
@@ -1023,7 +1026,7 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
      {TRAFFIC_TOLD: ["spawn_probability", "initial_vehicle_count"]}),
     ("intersection-v0", {"offroad_terminal": True, "destination": "o2"}, {}),
     ("racetrack-v1", {"terminate_off_road": False, "other_vehicles": 2},
-     {"runs on this road end where the ego leaves it": ["terminate_off_road"], TRAFFIC_TOLD: ["other_vehicles"]}),
+     {"runs on this road end when the ego leaves it": ["terminate_off_road"], TRAFFIC_TOLD: ["other_vehicles"]}),
 ])  # fmt: skip
 def test_option_that_something_replaces_is_named_with_what_does(env_id, config, names):
     assert World(env_id, config=config).options_without_effect(drives_itself=False) == names
@@ -1031,7 +1034,7 @@ def test_option_that_something_replaces_is_named_with_what_does(env_id, config, 
 
 def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
     world = World("highway-v0", config={"offroad_terminal": True}, ends="duration")
-    told = "runs on a straight road go on, and run.off_road says that the ego left it"
+    told = "runs on a straight road continue, and run.off_road reports that the ego left it"
     assert world.options_without_effect(drives_itself=False) == {told: ["offroad_terminal"]}
 
 
@@ -1101,7 +1104,7 @@ def test_a_planner_inside_of_the_environment_is_refused():
     ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
     ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
     ([partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))],
-     r"wrappers: .* received the space MultiBinary\(2\) in TransformAction; let"),
+     r"wrappers: .* received the space MultiBinary\(2\) in TransformAction; make the action_space"),
 ])  # fmt: skip
 def test_what_is_no_wrapper_is_told(wrappers, message):
     with pytest.raises(WorldError, match=message):
@@ -1132,7 +1135,7 @@ def test_wrapper_that_does_not_step_is_reported():
     trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
     assert (trace.duration, trace.ended) == (2.0, "max_episode_steps=2")
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
-    with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
+    with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; remove wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
 
 

@@ -333,9 +333,9 @@ def test_spiral_is_a_road_whose_lanes_are_next_to_each_other():
 
 def test_lanes_from_the_right_or_that_overlap_are_refused():
     for lanes, field, received in (
-        (Ring.lanes[::-1], "lanes[1]", "one 4.0 m to the left of the lane before it"),
+        (Ring.lanes[::-1], "lanes[1]", "a lane 4.0 m to the left of the previous lane"),
         ([arc(400.0, 3.0, y=3.0 * number) for number in range(3)], "lane_width", "4.00 m"),
-        ([[(x, y + across) for x, y in arc(100.0, 1.5)] for across in (0.0, 4.0)], "lanes[1]", "one from"),
+        ([[(x, y + across) for x, y in arc(100.0, 1.5)] for across in (0.0, 4.0)], "lanes[1]", "a lane from"),
     ):
         with pytest.raises(WorldError) as error:
             SimulatorWorld(type("Odd", (Ring,), {"lanes": lanes})).check()
@@ -377,7 +377,7 @@ def test_hz_of_a_simulator_that_states_dt_follows_from_it():
 
 
 @table(("members", "ads_hz", "message"), {
-    "both": ({"hz": 20, "dt": 0.03}, None, r"Broken.dt: expected 1 / hz = 0.05 s, received 0.03 s; state one of both"),
+    "both": ({"hz": 20, "dt": 0.03}, None, r"Broken.dt: expected 1 / hz = 0.05 s, received 0.03 s; set only one"),
     "milliseconds": ({"hz": 33.3, "dt": 30}, None, r"Broken.dt: expected a number from 0.001 to 0.2, in seconds, rec"),
     "too fast": ({"hz": 2000.0}, None, r"Broken.hz: expected a number from 5 to 1000, received 2000"),
     "a text": ({"hz": "15"}, None, r"Broken.hz: expected a number from 5 to 1000, received '15'"),
@@ -386,9 +386,9 @@ def test_hz_of_a_simulator_that_states_dt_follows_from_it():
     "more decisions than ticks": ({"hz": 15}, 20, r"received 20; the nearest: 15$"),
     "decisions between ticks of a whole hz": ({"hz": 15}, 4, r"received 4; the nearest: 5 and 3.75"),
     "no rear axle": ({"reference": "rear axle"}, None, r"Broken.rear_axle_offset: expected the distance .*, received "
-                     r'None; with reference = "rear axle", write such as rear_axle_offset = 1.4'),
+                     r'None; with reference = "rear axle", set rear_axle_offset, for example to 1.4'),
     "a rear axle of a centre": ({"rear_axle_offset": 1.4}, None, r"rear_axle_offset: expected none with reference = "
-                                r"'centre', received 1.4; write reference = \"rear axle\", or leave it out"),
+                                r"'centre', received 1.4; set reference = \"rear axle\", or omit this"),
     "a negative offset": ({"reference": "rear axle", "rear_axle_offset": -1.4}, None, r"from 0.1 to 20 \[m\]"),
     "another point": ({"reference": "rear_axle"}, None,
                       r"Broken.reference: expected one of 'centre', 'front', 'rear axle', received 'rear_axle'"),
@@ -495,7 +495,7 @@ def raising(self, controls):
 @table(("members", "message"), {
     "no ticks": ({"hz": 0}, r"Broken.hz: expected a number from 5 to 1000, received 0"),
     "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected x and y of two points"),
-    "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the point before it"),
+    "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the previous point again"),
     "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
     "no lane there": ({"start_lane": 7}, r"Broken.start_lane: expected a whole number from 0 to 3"),
     "odd obstacles": ({"obstacles": ((1, 2),)}, r"Broken.obstacles\[0\]: expected x, y, heading, length and width"),
@@ -529,7 +529,9 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
 )
 def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
     """Each name is in this file once, as it would be in a user's class."""
-    with pytest.raises(WorldError, match=rf"Broken\.{name}: .* which nothing reads; write {write}, or _{name} if"):
+    with pytest.raises(
+        WorldError, match=rf"Broken\.{name}: .* attribute that nothing reads; write {write}, or _{name} "
+    ):
         broken(**{name: True}).check()
 
 
@@ -569,17 +571,17 @@ def before(self, controls):
 
 
 @table(("members", "received"), {
-    "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; do hz, units and axes fit"),
+    "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; are hz, units and axes correct"),
     "x to the north": ({"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
-                       r"90 degrees away from it; do hz, units and axes fit"),
-    "km/h": ({"step": along(lambda _: 1 / 3.6, math.sin)}, r"0.41 m, 0 degrees away from it; do hz, units and axes"),
-    "other ticks": ({"hz": 20}, r"0 degrees away from it; do hz, units and axes fit"),
+                       r"90 degrees away from it; are hz, units and axes correct"),
+    "km/h": ({"step": along(lambda _: 1 / 3.6, math.sin)}, r"0.41 m, 0 degrees away from it; are hz, units and axes"),
+    "other ticks": ({"hz": 20}, r"0 degrees away from it; are hz, units and axes correct"),
     "old states": ({"step": before, "states": lambda self: getattr(self, "last", self.cars)},
-                   r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) "),
+                   r"0.00 m, .* states return the states after the step\? pytest_pafot.testing.check_world\(world\) "),
 }.values())  # fmt: skip
 def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(members, received):
     members = {"step": along(math.cos, math.sin), **members}
-    told = rf"Broken.states, tick 1: expected that the ego drives .* m where .*{received}"
+    told = rf"Broken.states, tick 1: expected that the ego drives .* m in the direction of its heading, .*{received}"
     with pytest.raises(WorldError, match=told):
         broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
 
@@ -899,7 +901,7 @@ def test_simulator_that_accepts_all_actions_still_refuses_none():
     "check_action without a return": ({"check_action": lambda self, action: None}, WorldError,
         r"Odd.check_action: expected that it returns the action, received None; is a `return` missing in it\?"),
     "observe that fails": ({"observe": raising}, TypeError, "missing 1 required positional argument"),
-    "no observe": ({"observe": Simulator.observe}, WorldError, "Odd.observe: expected one, because native is True"),
+    "no observe": ({"observe": Simulator.observe}, WorldError, "Odd.observe: expected a method, because native is"),
     "native as a number": ({"native": 1}, WorldError, "Odd.native: expected True or False, received 1"),
 }.values())  # fmt: skip
 def test_native_simulator_that_is_wrong_is_no_error_of_the_policy(members, error, message):
@@ -922,8 +924,8 @@ def test_decision_of_a_native_policy_that_hangs_ends_the_run():
 
 
 @table(("simulator", "told"), {
-    "a vehicle can be hidden": (Pedals, r"the policy saw NPC 0 .* ahead, .*, and answered \[0, .*with NPC 0 hidden \["),
-    "no vehicle can be hidden": (Blind, r"^At .* s NPC 0 was .* m ahead, .* slower, and the policy answered \[0, "),
+    "a vehicle can be hidden": (Pedals, r"the policy saw NPC 0 .* ahead, .*, and chose \[0, .*with NPC 0 hidden \["),
+    "no vehicle can be hidden": (Blind, r"^At .* s NPC 0 was .* m ahead, .* slower, and the policy chose \[0, "),
 }.values())  # fmt: skip
 def test_finding_of_a_native_policy_has_a_takeover_a_moment_and_decisions(simulator, told):
     world = SimulatorWorld(simulator, duration=20.0)

@@ -1,1 +1,1 @@
-"""What happens to a finding after the search: see ``steps.py``."""
+"""What happens to a finding after the search."""

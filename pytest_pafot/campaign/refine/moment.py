@@ -1,4 +1,4 @@
-"""The moment of a finding: what a policy that is asked again says of the decision that could have avoided it."""
+"""The decision that could have avoided a failure, evaluated again."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pytest_pafot.findings.decisions import (
     Moment,
     deciding,
     differ,
+    differing_parts,
     is_planners,
     moved_over,
     parts_of,
     placed,
     seen_of,
     text_of_any,
-    told_parts,
     vehicle_of,
 )
 from pytest_pafot.findings.shrink import OutOfBudget
@@ -34,43 +34,36 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
-from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
+from pytest_pafot.world.driving.conditions import Conditions, Parted, differing_numbers, parting, shown
 from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation
 
+# A function that asks a fresh policy next to a run; None if nothing can be hidden or changed in an observation. Its
+# arguments are an NPC that is hidden in the whole run, or None, and a question about one decision, or None.
 Ask = Callable[..., Refining[Aside | None]]
-"""A function that asks a fresh policy beside a run; None if nothing can be hidden or changed in an observation.
 
-Its arguments are an NPC that is hidden in the whole run, or None, and a question about one decision, or None.
-"""
+Additions = tuple[float, float, float]  # what is added to a vehicle's x and y [m] and to its speed [m/s]
+Change = tuple[str, Additions | None]  # A change of a vehicle in words and as additions; None hides it
 
-Additions = tuple[float, float, float]
-"""What is added to a vehicle's x and y [m] and to its speed [m/s]."""
-Change = tuple[str, Additions | None]
-"""A change of a vehicle in words and as additions; None hides it."""
+MANY = 1_000_000  # more lanes than there are, for actions that a run has checked before
 
-MANY = 1_000_000
-"""More lanes than there are, for actions that a run has checked before."""
-
+# What is added to positions [m] and speed [m/s] to see which conditions are about a vehicle: it changes almost none.
 NUDGE = 0.01
-"""What is added to places [m] and speed [m/s] to see which conditions are about a vehicle: it changes hardly any."""
+# The smallest differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one.
 LITTLE = {"acceleration": 1.0, "steering": 0.05}
-"""The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
+# The parts of a planner's decision with limits, and the functions that limit them to what an ego can do.
 POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
-"""The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
 def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Return a finding with the last decision that could have avoided the failure, and what would change it.
-
-    The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
-    saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself, from a policy
-    that has the environment, or in a world that is not built in. In a simulator of the user's that can hide no vehicle,
-    only the decision is told. Nothing is said of a policy that decides otherwise when it sees the same. With a
-    reference, it is the first decision that differs from the reference's.
-    """
+    """Return a finding with the last decision that could have avoided the failure."""
+    # The finding's run is simulated again with its recorded actions. Fresh policies decide next to it, with all that
+    # the policy saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself,
+    # from a policy that has the environment, or in a world that is not built in. In a user's simulator that can hide no
+    # vehicle, only the decision is reported. Nothing is said about a policy that decides differently when it sees the
+    # same. With a reference, it is the first decision that differs from the reference's.
     harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
     if run is None or not harness.policy.only_observes:
         return sighting
@@ -82,7 +75,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     ask = partial(_decided_aside, sighting, trace, state, bench)
     whole = yield from ask(None, Question(number=number))
     # The policy must decide in the recorded run as it did, or a difference would not be due to the vehicle.
-    if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
+    if whole is None or any(differ(action, whole.action_at(each)) for each, action in enumerate(trace.actions)):
         return sighting
     without_it = None
     if harness.world.hides:
@@ -94,13 +87,11 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 
 
 def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's.
-
-    They are compared with those of a decision that sees the vehicle elsewhere: where the moment says that the policy
-    answers otherwise, or far away. If they do not depend on the vehicle, and the decision began a change of lanes, they
-    are compared with those of the decision before it. A condition is about a vehicle if its values are others when the
-    vehicle is a little elsewhere.
-    """
+    """Return a finding with the conditions that a policy evaluates in its moment."""
+    # They are compared with those of a decision that sees the vehicle in another position: where the moment says that
+    # the policy decides differently, or far away. If they do not depend on the vehicle, and the decision started a
+    # change of lanes, they are compared with those of the decision before it. A condition is about a vehicle if its
+    # values differ when the vehicle is in a slightly different position.
     harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
@@ -111,9 +102,9 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     question = Question(number=number, conditions=conditions)
     ask = partial(_decided_aside, sighting, trace, state, bench, None)
     aside = yield from ask(question)
-    if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
+    if aside is None or any(differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
-    # Compare with a decision that is answered otherwise, or at least sees the vehicle elsewhere.
+    # Compare with a decision with another action, or that at least sees the vehicle elsewhere.
     compared: list[tuple[str, int | None, Question]] = []
     npc, seen = moment.npc, aside.at
     whom: dict[int, tuple[int, ...]] | None = None
@@ -121,7 +112,7 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
         whom = {}
         for other in sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ():
             nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
-            for each in () if nudged is None else differing(aside.conditions, nudged.conditions):
+            for each in () if nudged is None else differing_numbers(aside.conditions, nudged.conditions):
                 whom[each] = (*whom.get(each, ()), other)
         if npc is not None and npc in seen.ids:
             words, by = _compared(moment, _changes(seen, npc))
@@ -131,14 +122,14 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     first: dict[str, Parted] = {}
     for when, elsewhere, each_question in compared:
         if not first and (asked := (yield from ask(each_question))) is not None:
-            is_other = differ(trace.actions[number], asked.of(each_question.number))
+            is_other = differ(trace.actions[number], asked.action_at(each_question.number))
             first = parting(aside.conditions, asked.conditions, when, is_other=is_other, npc=elsewhere, whom=whom or {})
     groups = shown(aside.conditions, first, npc=npc, whom=whom)
     return replace(sighting, moment=replace(moment, conditions=groups))
 
 
 def _nudged(seen: Observation, npc: int) -> Observation:
-    """Return an observation in which a vehicle, which may cross the ego's way, is a little elsewhere."""
+    # The vehicle may cross the ego's path.
     if npc in seen.ids:
         return changed(seen, npc, (NUDGE, NUDGE, NUDGE))
     places = ("distance", "ego_distance", "ahead", "right", "speed")
@@ -150,7 +141,7 @@ def _nudged(seen: Observation, npc: int) -> Observation:
 
 
 def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
-    """Return the change with which a moment says that the policy answers otherwise; if none does, one that is large."""
+    # The change that the moment reports. If none has an effect, a large one.
     said = moment.otherwise or ""
     furthest = next(each for each in reversed(changes) if each[0].endswith("further away"))
     if not said and moment.hidden:
@@ -159,7 +150,7 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
 
 
 def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
-    """Return the first decision that differs from the one of the reference in the same scenario."""
+    # The first decision that differs from the reference's in the same scenario.
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
     check_limits(bench)
     state.moment_runs += 1
@@ -177,7 +168,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
 def _decided_aside(
     sighting: Seen, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
-    """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
+    # `ask` decides next to the run, without affecting it.
     check_limits(bench)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
     state.moment_runs += 1
@@ -209,8 +200,7 @@ def _decided_aside(
 def _moment_of(
     trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside | None, ask: Ask
 ) -> Refining[Moment]:
-    """Return what a policy saw, answered and would have answered at a decision."""
-    seen, action = whole.at, whole.of(number)
+    seen, action = whole.at, whole.action_at(number)
     time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
     if without_it is None:
         return Moment(time=time, npc=npc, was=seen_of(trace, npc, number), action=text_of(action))
@@ -237,12 +227,12 @@ def _moment_of(
         except OutOfBudget:  # Nothing is said of what was not tried.
             otherwise = None
             break
-        # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
-        # in a module or a class still has that of other runs.
-        if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):
+        # Only a policy that decides like the run's policy until then shows what the run's policy would decide: one that
+        # keeps state in a module or a class still has that of other runs.
+        if aside is None or any(differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[:number])):
             hidden = otherwise = None
             break
-        answer = aside.of(number)
+        answer = aside.action_at(number)
         if not words:
             hidden = text_of(answer, action) if differ(action, answer) else ""
             otherwise = "" if is_planner else None
@@ -260,7 +250,7 @@ def _pickled(seen: Any) -> Any:
 
 
 def _is_other(action: Any, other: Any) -> bool:
-    """Return whether an action is another decision, and not a little more or less of the same."""
+    # A little more or less of the same is no other decision.
     if type(action) is not type(other) or not is_planners(action):
         return differ(action, other)
     here, there = parts_of(action), parts_of(other)
@@ -270,11 +260,11 @@ def _is_other(action: Any, other: Any) -> bool:
             return False
         return abs(POSSIBLE[name](here[name]) - POSSIBLE[name](there[name])) < LITTLE[name]
 
-    return not all(is_little(name) for name in told_parts(action, other))
+    return not all(is_little(name) for name in differing_parts(action, other))
 
 
 def _changes(seen: Observation, npc: int) -> list[Change]:
-    """Return what is tried of a vehicle, the smallest first: words, and additions to x, y and speed; None hides it."""
+    # The smallest changes come first: words, and additions to x, y and speed. None hides the vehicle.
     other = seen.others[seen.ids.index(npc)]
     gap = other.x - seen.ego.x
     found: list[tuple[float, str, Additions | None]] = [(0.0, "", None)]
@@ -294,13 +284,14 @@ def _changes(seen: Observation, npc: int) -> list[Change]:
 
 
 def text_of(action: Any, other: Any = None) -> str:
-    """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
+    """Describe an action."""
+    # For a planner, only parts that differ from another action, or from the defaults.
     if action is None:
         return "no decision"
     if not is_planners(action):
         return text_of_any(action)[:80]
     parts, shown = parts_of(action), []
-    for name in told_parts(action, other):
+    for name in differing_parts(action, other):
         least, form = PARTS.get(name, (0.0, "{}"))
         if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
             continue

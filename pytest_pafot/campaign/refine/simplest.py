@@ -1,4 +1,4 @@
-"""The simplest scenario that shows the failure of a finding, by runs of ever simpler ones."""
+"""The simplest scenario that shows the failure of a finding."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world.driving.policy import repeating
+from pytest_pafot.world.driving.policy import repeat_action
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
 def showing(
     sighting: Seen, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
 ) -> Refining[Run | None]:
-    """Run a scenario; return the run if it shows the failure of a finding in fewer than ``most`` decisions."""
+    """Run a scenario, and return the run if it shows the failure soon enough."""
     __tracebackhide__ = True
     if scenario in state.fatal:
         return None
@@ -40,9 +40,9 @@ def showing(
         if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
             bench.record.clear()
             return None
-        if not shows(sighting, run, bench.finish(run, driven(run)), state, bench):
+        if not shows(sighting, run, bench.finish(run, without_unreached_genes(run)), state, bench):
             return None
-    except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
+    except ScenarioError:  # For example, it starts in an outer lane, next to which there are too few cells.
         return None
     except ProcessLostError as error:
         yield from lose(error, state, bench, store)
@@ -51,7 +51,8 @@ def showing(
 
 
 def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench) -> bool:
-    """Return whether a run shows the failure of a finding, by the same fault, and the same side is responsible."""
+    """Return whether a run shows the failure of a finding."""
+    # It must be by the same fault, with the same side responsible.
     shown = bench.examiner.signature_of(run, verdict)
     if shown is None or not is_same(shown, found_as(sighting, state)):
         return False
@@ -59,23 +60,24 @@ def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench
 
 
 def found_as(sighting: Seen, state: State) -> Signature:
-    """Return the signature that a finding had when it was found."""
+    """Return the signature before shrinking."""
     return next(signature for signature, id_ in state.finds.items() if id_ == sighting.id)
 
 
 def is_same(shown: Signature, found: Signature) -> bool:
-    """Return whether two failures are the same, by the same fault."""
+    """Return whether two failures are the same and have the same fault."""
     return (shown, shown.fault) == (found, found.fault)
 
 
-def driven(run: Run) -> Scenario:
-    """Return the scenario of a run without the genes that the run did not reach. The run stays the same."""
+def without_unreached_genes(run: Run) -> Scenario:
+    """Return the scenario of a run without unreached genes."""
+    # The run stays the same.
     scenario = run.scenario
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 
 
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
-    """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
+    """Have scenarios run in advance by other processes."""
     if bench.harness.request.settings.workers < 2:
         return
     fitting = list[Scenario]()
@@ -87,7 +89,7 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
 
 
 def check_limits(bench: Bench) -> None:
-    """Raise OutOfTime if the time for the work on findings is over, and OutOfBudget if its decisions are used up."""
+    """Raise OutOfTime or OutOfBudget if no time or decision is left."""
     if bench.clock() >= bench.refining_end:
         raise OutOfTime
     if bench.asked >= bench.refining_most:
@@ -96,7 +98,8 @@ def check_limits(bench: Bench) -> None:
 
 
 def failure_rate(sighting: Seen, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
-    """Return how often the policy fails in a scenario of a finding, with other seeds, or again and again if flaky."""
+    """Return how often the policy fails in a scenario of a finding."""
+    # With other seeds, or with the same one if the finding is flaky.
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0
     for number in range(1, RUNS + 1):
@@ -106,53 +109,39 @@ def failure_rate(sighting: Seen, scenario: Scenario, state: State, bench: Bench)
     return FailureRate(failing=failing)
 
 
+# The default limits of the runs that shrink one finding. The larger limit is for an ADS that is a vehicle class of
+# highway-env, because the kernel runs it quickly.
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
-"""The default limits of the runs that shrink one finding.
 
-The larger limit is for an ADS that is a vehicle class of highway-env, because the kernel runs it quickly.
-"""
-
+# The time by which a simpler candidate may collide later than the simplest failing scenario so far [s]. A candidate
+# that does not fail would otherwise be driven to the end of its scenario. Of 950 candidates that were kept without this
+# limit, 8 collided later, and all runs together had a third more decisions.
 LATER = 2.0
-"""The time by which a simpler candidate may collide later than the simplest failing scenario so far [s].
 
-A candidate that does not fail would else be driven to the end of its scenario. Of 950 candidates that were kept without
-this limit, 8 collided later, and all runs together had a third more decisions.
-"""
-
+# The approximate time for the work after shrinking, except confirmation, as a number of runs. One run is for the
+# verdict on the shrunk scenario. The others are for the careful driver who takes over, which are fast because the ADS
+# is not called.
 RUNS_TO_CONCLUDE = 3
-"""The approximate time for the work after shrinking, except confirmation, as a number of runs.
-
-One run is for the verdict on the shrunk scenario. The others are for the careful driver who takes over, which are fast
-because the ADS is not called.
-"""
 
 
 @dataclass(slots=True, kw_only=True)
 class Turn:
-    """The share of the remaining time and decisions in which one finding is shrunk.
+    """The part of the remaining time and decisions for shrinking one finding."""
 
-    Attributes:
-        end: the time at which the share ends [s], or infinity.
-        most: the number of decisions, of all work on findings, at which the share ends.
-        to_confirm: the number of decisions in a run of the simplest failing scenario so far.
-        to_conclude: the estimated time of the work after shrinking [s].
-        attempts: the number of attempts to shrink so far.
-        seconds: the time that the attempts have taken [s].
-        is_over: True if shrinking was stopped because no time, or no decision, was left.
-    """
-
-    end: float
-    most: float
-    to_confirm: int = 0
-    to_conclude: float = 0.0
-    attempts: int = 0
-    seconds: float = 0.0
-    is_over: bool = False
+    end: float  # time at which the part ends [s], or infinity
+    most: float  # number of decisions, of all work on findings, at which the part ends
+    to_confirm: int = 0  # number of decisions in a run of the simplest failing scenario so far
+    to_conclude: float = 0.0  # estimated time of the work after shrinking [s]
+    attempts: int = 0  # number of attempts to shrink so far
+    seconds: float = 0.0  # time that the attempts have taken [s]
+    is_over: bool = False  # True if shrinking was stopped because no time, or no decision, was left
 
     def check(self, now: float, bench: Bench) -> None:
-        """Raise OutOfBudget if too little is left for another attempt and the work after it, and in all later calls."""
+        """Raise OutOfBudget if too little is left for another attempt."""
+        # Some must be left for the work after it. All later calls raise, too.
         mean = self.seconds / max(self.attempts, 1)
-        # An attempt is hardly longer than the simplest failing run, which is then judged, and confirmed by two others.
+        # An attempt is not much longer than the simplest failing run, which is then evaluated, and confirmed by two
+        # others.
         is_at_limit = bench.asked + (1 + RUNS_TO_CONCLUDE) * self.to_confirm > self.most
         bench.is_at_limit |= is_at_limit
         self.is_over = self.is_over or is_at_limit or now + mean + self.to_conclude >= self.end
@@ -160,10 +149,8 @@ class Turn:
             raise OutOfBudget
 
     def took(self, seconds: float, confirming: float | None) -> None:
-        """Record an attempt that took some time [s].
-
-        If the attempt is the simplest failing scenario so far, ``confirming`` is the time to confirm it [s]; else None.
-        """
+        """Record an attempt and the time that it took [s]."""
+        # `confirming` is the time to confirm the attempt if it is the simplest failing scenario so far [s].
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -173,30 +160,25 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simplest:
-    """The simplest scenario that shows the failure of a finding.
+    """The simplest scenario that shows the failure of a finding."""
 
-    Attributes:
-        scenario, shrunk: the scenario as driven, and the statistics of shrinking.
-        rate: how often the scenario itself fails; None if that is not by chance, or not known yet.
-        is_cut: True if no time, or no decision, was left for further attempts.
-    """
-
-    scenario: Scenario
-    shrunk: Shrunk
+    scenario: Scenario  # the scenario as executed
+    shrunk: Shrunk  # statistics of shrinking
+    # How often the scenario itself fails; None if that is not by chance, or not yet known.
     rate: FailureRate | None = None
-    is_cut: bool = False
+    is_cut: bool = False  # True if no time, or no decision, was left for more attempts
 
 
 def simplest_of(
     sighting: Seen, original: Scenario, state: State, bench: Bench, store: Store, turn: Turn
 ) -> Refining[Simplest]:
-    """Shrink the scenario of a finding as it was found, in its turn."""
+    """Shrink the scenario of a finding, in its turn."""
     __tracebackhide__ = True
     harness, space, id_ = bench.harness, state.space, sighting.id
     rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
     repeats = _repeats_collision(sighting, harness)
     # What the ego did in failing scenarios.
-    actions = {} if sighting.run is None else {driven(sighting.run): sighting.run.trace.actions}
+    actions = {} if sighting.run is None else {without_unreached_genes(sighting.run): sighting.run.trace.actions}
     turn.to_confirm = max(map(len, actions.values()), default=0)
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
@@ -221,7 +203,7 @@ def simplest_of(
         if run is None:
             turn.took(bench.clock() - began, None)
             return None
-        scenario = driven(run)
+        scenario = without_unreached_genes(run)
         actions[scenario] = run.trace.actions
         turn.to_confirm = len(run.trace.actions)
         turn.took(bench.clock() - began, bench.pace * min(scenario.seconds, harness.world.longest_run))
@@ -261,7 +243,7 @@ def simplest_of(
 
 
 def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
-    """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
+    # A run with the same decisions of the ADS repeats the collision without asking it again.
     trace = None if sighting.run is None else sighting.run.trace
     is_sure = not sighting.is_flaky and sighting.finding.rate is None
     return trace if is_sure and trace is not None and trace.collision is not None and trace.actions else None
@@ -270,12 +252,9 @@ def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
 def _likely(
     sighting: Seen, turn: Turn, state: State, bench: Bench, actions_in: Callable[[Scenario], tuple[Any, ...]]
 ) -> Callable[[Scenario, Scenario], bool] | None:
-    """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
-
-    It is likely if an ego that repeats its decisions in a failing scenario collides in the same way. That was so in 27
-    of 35 small scenarios that failed, and in 225 of 4,333 that did not. Return None if all small scenarios must be run:
-    the world's ``rollout`` does not accept decisions.
-    """
+    # A small scenario is likely to fail if an ego that repeats its decisions in a failing scenario collides in the same
+    # way. That was so in 27 of 35 small scenarios that failed, and in 225 of 4,333 that did not. The result is None if
+    # all small scenarios must be run: the world's `rollout` does not accept decisions.
     harness, found = bench.harness, found_as(sighting, state)
     if not harness.world.is_resumable:
         return None
@@ -290,7 +269,7 @@ def _likely(
             turn.is_over = True
             raise OutOfBudget from None
         try:
-            trace = rollout(candidate, repeating(did[-1]), decisions=did)
+            trace = rollout(candidate, repeat_action(did[-1]), decisions=did)
         except ScenarioError:
             return False
         if trace.collision is None:
@@ -302,7 +281,8 @@ def _likely(
 
 
 def rollouts_for(harness: Harness) -> int:
-    """Return the largest number of runs to shrink one finding: as the user set it, or by how fast the ADS is."""
+    """Return the largest number of runs to shrink one finding."""
+    # The user sets it, or it depends on how fast the ADS is.
     given = harness.request.settings.shrink_rollouts
     if given is not None:
         return given
@@ -310,10 +290,8 @@ def rollouts_for(harness: Harness) -> int:
 
 
 def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
-    """Return the ego's lane and speed at the beginning of each gene that the run reached; empty if it left the road.
-
-    The speed [m/s] is at most ``top_speed``, which is the highest start speed of an ego.
-    """
+    """Return the ego's lane and speed at the start of each gene of a run."""
+    # The speed is at most the highest start speed [m/s]. The result is empty if the ego left the road.
     trace = run.trace
     begins = slice(None, trace.ticks, round(run.scenario.gene_seconds * trace.physics_hz))
     speeds, lanes = trace.ego[begins, SPEED], trace.road.numbers(0)[begins]

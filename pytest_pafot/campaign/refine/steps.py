@@ -1,7 +1,5 @@
-"""What happens to the findings of a search after its last run, step by step.
-
-No finding depends on it: each is saved and reported before, and what a step learns of it replaces its file and report.
-"""
+"""What happens to the findings of a search after its last run."""
+# No finding depends on it: each is saved and reported before, and each step replaces the file and the report.
 
 from __future__ import annotations
 
@@ -25,28 +23,27 @@ from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 
+# The number of decisions for which the work on findings may ask even after a short search.
 LEAST_DECISIONS = 2000
-"""The number of decisions for which the work on findings may ask even after a short search."""
 
+# The proportion of these decisions that shrinking may use; the rest, and what it leaves, is to examine findings.
 FOR_SHRINKING = 0.75
-"""The share of these decisions that shrinking may use; the rest, and what it leaves, is to examine findings."""
 
+# The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,
+# or raises an error, ends them for this finding.
 EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
-"""The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,
-or raises an error, ends them for this finding."""
 
 
 def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf) -> Refining[None]:
-    """Refine the findings in the order of discovery; yield what becomes of them.
-
-    First each is shrunk, confirmed and tried with a careful driver, in turns. This leaves out findings that cannot be
-    shrunk, since they depend on wall-clock time, are crashes, or are flaky in another way than by chance. Then those
-    whose runs are the same each time are examined: the decisions that led to them.
+    """Refine the findings in the order of discovery, and yield the results.
 
     Args:
-        state, bench, store: the parts of the search. What is done is counted in the state, at once.
-        until: the time at which all this must end [s].
+        state, bench, store: the parts of the search.
+        until: time at which all this must end [s].
     """
+    # First each is shrunk, confirmed and tried with a careful driver, in turns. This skips findings that cannot be
+    # shrunk, since they depend on wall-clock time, are crashes, or are flaky in another way than by chance. Then the
+    # decisions that led to those with repeatable runs are examined. Counts in the state are updated immediately.
     __tracebackhide__ = True
     bench.refining_end, before, searched = until, bench.decisions, state.counts.decisions
     # Without a limit of the user's, all this may ask the policy for as many decisions as the search did.
@@ -66,10 +63,7 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
 
 
 def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
-    """Give each finding its turn; return the ids of those that are simplified.
-
-    A turn is an equal share of the time and the decisions that are left. What is unused goes to the next findings.
-    """
+    # A turn is an equal part of the remaining time and decisions. Unused time goes to the next findings.
     done = set[str]()
     waiting = [id_ for id_, each in store.findings.items() if each.is_firm or each.is_random]
     for sharing, id_ in zip(range(len(waiting), 0, -1), waiting, strict=True):
@@ -89,7 +83,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
         if is_done:
             done.add(id_)
         else:
-            sighting, why = store.findings[id_], "at the limit of decisions" if bench.is_at_limit else "out of time"
+            sighting, why = store.findings[id_], "out of decisions" if bench.is_at_limit else "out of time"
             cut = f"not simplified: {why}" if sighting.finding.shrunk is None else f"simplified in part: {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
@@ -97,7 +91,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
 
 
 def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
-    """Shrink a finding, run it again, and let a careful driver take over; return True if nothing is left to do."""
+    # True if nothing is left to do
     __tracebackhide__ = True
     original = sighting.finding.scenario
     # How often it fails, if that is by chance. Another thread of this process may have drawn in one run, but hardly in
@@ -137,11 +131,8 @@ def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: 
 def _confirmed(
     sighting: Seen, simplest: Simplest, state: State, bench: Bench
 ) -> Refining[tuple[Simplest, Run, Verdict, str]]:
-    """Run the simplest scenario of a finding again.
-
-    Return it with how often it fails, if that is by chance; its last run, with the verdict; and how that run differs
-    from the finding, empty if it is confirmed.
-    """
+    # The simplest scenario is run again. Returned are how often it fails, if that is by chance; the last run with its
+    # verdict; and how that run differs from the finding, empty if it is confirmed.
     __tracebackhide__ = True
     scenario, rate = simplest.scenario, sighting.finding.rate
     run = bench.run(scenario)
@@ -161,10 +152,7 @@ def _confirmed(
 
 
 def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refining[None]:
-    """Examine a finding, and report what each step learns, unless the time ends before.
-
-    No error ends the search here, because a user's simulator may not expect scenarios other than those of a search.
-    """
+    # No error ends the search here, because a user's simulator may not expect scenarios other than those of a search.
     __tracebackhide__ = True
     for about, step in EXAMINATIONS.items():
         try:
@@ -185,7 +173,7 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
 
 
 def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench) -> Refining[Seen]:
-    """Return a finding as its confirmed scenario shows it, with what a careful driver who takes over avoids in it."""
+    # With what a careful driver who takes over avoids in the confirmed scenario.
     if verdict.failure is None or verdict.exception is None:
         return sighting
     harness, scenario, then = bench.harness, simplest.scenario, sighting.observed
@@ -197,7 +185,7 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     try:
         takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
     except DriverError as error:  # the world cannot simulate the driver
-        yield Note(f"{error}; findings say nothing of what this driver would have done")
+        yield Note(f"{error}; findings do not state what this driver would have done")
     # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
     finding = replace(
         before,

@@ -3,9 +3,9 @@
 const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 
 const CURVES = [
-  { key: "gap", title: "gap to the ego", unit: "m", top: 40, remark: ", not drawn beyond 40" },
-  { key: "ttc", title: "time to contact", unit: "s", top: 8, remark: ", not drawn beyond 8, or where they are not on course to touch" },
-  { key: "advantage", title: "expected time between the two at their zone", unit: "s", top: 4 },
+  { key: "gap", title: "gap to the ego", unit: "m", top: 40, remark: ", up to 40" },
+  { key: "ttc", title: "time to contact", unit: "s", top: 8, remark: ", up to 8; no curve while they are not on a collision course" },
+  { key: "advantage", title: "expected time between the two in the conflict zone", unit: "s", top: 4 },
   { key: "speed", title: "speed", unit: "m/s" },
   { key: "acceleration", title: "acceleration", unit: "m/s^2", least: 4 },
 ];
@@ -54,7 +54,7 @@ class Charts {
   }
 
   row(name, blocks) {
-    // Blocks over their time, with as much of their words as fits, and the time from which a goal was reached.
+    // Blocks over their time, with as many of their words as fit, and a mark where the goal was reached.
     this.side(this.y + 10, name);
     for (const { start, end, words, arrived = null, name: ink } of blocks) {
       const [x0, x1] = [this.x(start), this.x(Math.min(end, this.duration))];
@@ -69,7 +69,7 @@ class Charts {
   }
 
   plot(low, high, levels) {
-    // Returns a function from a value to its height, and moves on to below the curve.
+    // Returns a function from a value to its height, and moves the position for the next element below the curve.
     const bottom = this.y + CHART.curve;
     const y = (value) => bottom - ((value - low) / (high - low)) * CHART.curve;
     for (const [value, text] of levels) { this.level(y(value), "axis"); this.side(y(value), text); }
@@ -80,7 +80,7 @@ class Charts {
   curve({ key, title, unit, top = null, least = null, remark = "" }) {
     const { vehicles, road } = this.finding;
     this.heading(title, ` [${unit}]${key === "speed" ? `, dotted: limit ${road.speed_limit}` : this.width < 600 ? "" : remark}`);
-    // The axis begins at 0, or is symmetric for values with a sign.
+    // The axis starts at 0, or is symmetric for values with a sign.
     const most = Math.max(least ?? road.speed_limit, ...vehicles.flatMap((vehicle) => vehicle[key].map((value) => Math.abs(value ?? 0))));
     const high = top ?? Math.ceil(most / (least ?? 5)) * (least ?? 5);
     const low = least === null ? 0 : -high;
@@ -100,7 +100,7 @@ class Charts {
   }
 
   check(check) {
-    this.heading(check.name, `${check.unit ? ` [${check.unit}]` : ""}${this.width < 600 ? ", red: broken" : ", worst of each frame; red: beyond the bound"}`);
+    this.heading(check.name, `${check.unit ? ` [${check.unit}]` : ""}${this.width < 600 ? ", red: bound broken" : ", worst value per frame; red: bound broken"}`);
     for (const [from, to] of check.broken) {
       this.add("rect", { x: px(this.x(from)), width: px(Math.max(2, this.x(to) - this.x(from))), y: px(this.y), height: CHART.curve, class: "broken" });
     }

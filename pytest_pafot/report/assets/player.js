@@ -10,7 +10,7 @@ class Player {
     this.place = place;
     this.onSettle = onSettle;
     this.duration = finding.times[finding.times.length - 1];
-    // As long as nobody has asked for a time, the moment of the finding is shown, and with motion the second before it.
+    // If the address has no time, show the moment of the finding. If motion is allowed, play the second before it.
     this.isOpening = time === null;
     this.time = clamp(time ?? momentOf(finding) - (isCalm() ? 0 : 1), 0, this.duration);
     this.rate = this.zoom = 1;
@@ -37,11 +37,11 @@ class Player {
     this.clock = html("output", { class: "clock", "aria-live": "off" });
     this.scrubber = this.control("input", { type: "range", min: 0, max: this.duration, step: 0.01, "aria-label": "Time" }, [], "input", () => this.jump(Number(this.scrubber.value)));
     const event = this.control("button", { type: "button" }, "Go to the event", "click", () => this.jump(momentOf(this.finding)));
-    const rates = this.control("select", { "aria-label": "Speed of play" }, SPEEDS.map((rate) => html("option", { value: rate }, `${rate}\u00d7`)), "change", () => { this.rate = Number(rates.value); });
+    const rates = this.control("select", { "aria-label": "Playback speed" }, SPEEDS.map((rate) => html("option", { value: rate }, `${rate}\u00d7`)), "change", () => { this.rate = Number(rates.value); });
     rates.value = 1;
     const zooms = [["Zoom in", "+", 1.25], ["Zoom out", "\u2212", 0.8]].map(
       ([name, sign, factor]) => this.control("button", { type: "button", "aria-label": name }, sign, "click", () => this.zoomBy(factor)));
-    const heads = ["", "speed [m/s]", "in cell", "gap [m]", "contact in [s]", "decision, instruction"];
+    const heads = ["", "speed [m/s]", "cell", "gap [m]", "time to contact [s]", "decision or instruction"];
     this.rows = this.finding.vehicles.map(() => Array.from({ length: 5 }, () => html("td")));
     const body = this.finding.vehicles.map((vehicle, index) => {
       const chip = svg("svg", { class: "chip", viewBox: "0 0 26 14", "aria-hidden": "true" }, svg("rect", { x: 1, y: 1, width: 24, height: 12, rx: 2, class: index ? `npc-body ${stroke(index)}` : "ego-body" }));
@@ -70,10 +70,10 @@ class Player {
     this.curves = new Charts(this.finding, this.width);
     const isRelative = !this.scene.isWorld;
     this.stage.replaceChildren(this.scene.root);
-    this.legend.textContent = `E is the ego, which the policy drives; numbers are NPCs, the other vehicles. Dotted trails: the last ${TRAIL_SECONDS} s${isRelative ? " relative to the ego" : ""}. ` +
-      (isRelative ? "Numbered boxes: the cells around the ego. Dashed lines: to where NPCs are to drive. " : "") +
-      (isCrossed(this.finding) ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
-      "Bars at the rear: braking." + (this.finding.ghost ? " Shaded box: the ego with a careful driver, who takes over shortly before the impact." : "");
+    this.legend.textContent = `E is the ego, which the policy drives. Numbers are the NPCs, the other vehicles. Dotted trails show the last ${TRAIL_SECONDS} s${isRelative ? ", relative to the ego" : ""}. ` +
+      (isRelative ? "Numbered boxes are the cells around the ego. Dashed lines lead to the targets of NPCs. " : "") +
+      (isCrossed(this.finding) ? "Dotted lines are the paths of crossing NPCs. Shaded areas are their conflict zones with the ego's path. " : "") +
+      "Bars at the rear mean braking." + (this.finding.ghost ? " The shaded box is the ego if a careful driver takes over shortly before the impact." : "");
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
@@ -125,7 +125,7 @@ class Player {
     const tick = (now) => {
       owed += last === null ? 0 : Math.min(0.25, (now - last) / 1000) * this.rate;
       last = now;
-      // With reduced motion the picture changes in steps instead of gliding.
+      // With reduced motion, the picture changes in steps and does not glide.
       const due = isCalm() ? Math.floor(owed / CALM_STEP) * CALM_STEP : owed;
       owed -= due;
       if (due > 0) this.seek(Math.min(this.time + due, until));

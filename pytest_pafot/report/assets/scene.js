@@ -11,7 +11,7 @@ const isCrossed = (finding) => finding.vehicles.some((vehicle) => vehicle.zone);
 const goalName = (row) => (row.zone || row.lane ? row.words : `cell ${CELL_NAMES[row.cell]}`);
 
 function frameAt(times, time) {
-  // Returns [index, share]: the frame before a time, and the share of the time to the next frame that has passed.
+  // Returns [index, share]: the frame before a time, and how much of the time to the next frame has passed, from 0 to 1.
   const index = Math.max(0, Math.min(times.length - 2, times.findLastIndex((each) => each <= time)));
   const span = (times[index + 1] ?? times[index]) - times[index];
   return [index, span > 0 ? clamp((time - times[index]) / span, 0, 1) : 0];
@@ -47,7 +47,7 @@ function nearestLane(road, across) {
 function instructionAt(finding, npc, time) {
   const all = finding.instructions.filter((row) => row.npc === npc);
   const started = all.filter((row) => row.started);
-  const rows = started.length ? started : all;  // A world of the user's may not say which began.
+  const rows = started.length ? started : all;  // The user's world may not report which instructions started.
   const row = rows.find((each) => time < each.end - 1e-9) ?? rows[rows.length - 1];
   if (!row) return null;
   const isOver = !row.zone && time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end;
@@ -55,9 +55,9 @@ function instructionAt(finding, npc, time) {
 }
 
 function wordsOf(row) {
-  if (row.phase === "ended") return "keeps its lane and speed, its instructions are over";
-  const reached = row.phase === "arrived" && row.lane !== "keep" ? `; ${row.zone ? "entered" : "there"} at ${fixed(row.arrived, 1)} s` : "";
-  const asked = row.zone || row.lane || row.requested === row.cell ? "" : `, requested was cell ${CELL_NAMES[row.requested]}`;
+  if (row.phase === "ended") return "keeps its lane and speed after its last instruction";
+  const reached = row.phase === "arrived" && row.lane !== "keep" ? `; ${row.zone ? "entered" : "reached"} at ${fixed(row.arrived, 1)} s` : "";
+  const asked = row.zone || row.lane || row.requested === row.cell ? "" : ` (requested: cell ${CELL_NAMES[row.requested]})`;
   return `${goalName(row)}, target ${fixed(row.speed, 1)} m/s${asked}${reached}`;
 }
 
@@ -78,7 +78,7 @@ function cellCentre(finding, ego, cell) {
 }
 
 function targetOf(finding, states, npc, row) {
-  // Returns where an NPC is to drive to: a cell, or a lane next to the one in which it was when the instruction began.
+  // Returns the target of an NPC: a cell, or a lane relative to the one in which the instruction started.
   if (!row || row.phase !== "approach" || row.zone) return null;
   if (!row.lane) return row.cell ? cellCentre(finding, states[0], row.cell) : null;
   const start = stateAt(finding, npc + 1, frameAt(finding.times, row.start));
@@ -89,8 +89,8 @@ function targetOf(finding, states, npc, row) {
 const TRAIL_SECONDS = 4;
 const RULER = 24;
 const SHOULDER = 1.4;
-const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
-const CROSSED_HALF_HEIGHT = 32; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
+const HALF_HEIGHT = 18; // Half of the height of the picture of a curved road [m].
+const CROSSED_HALF_HEIGHT = 32; // The same with a crossing vehicle, which would otherwise appear only 2 s before contact.
 const STAR = "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z";
 
 class Scene {
@@ -98,7 +98,7 @@ class Scene {
     const { road } = finding;
     this.finding = finding;
     this.width = width;
-    this.isWorld = road.shapes.length > 0;  // a bent road is drawn in world coordinates
+    this.isWorld = road.shapes.length > 0;  // a curved road is drawn in world coordinates
     const isWide = this.isWorld && isCrossed(finding);
     this.scale = (isWide ? clamp(width / 130, 4.5, 7) : clamp(width / 96, 6.5, 10)) * zoom;
     const reach = isWide ? CROSSED_HALF_HEIGHT : HALF_HEIGHT;
@@ -109,7 +109,7 @@ class Scene {
     this.ego = { along: 0, across: 0 };
     this.root = svg("svg", {
       viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
-      "aria-label": "Bird's-eye view of the ego and the NPCs; the table below says the same in numbers.",
+      "aria-label": "Bird's-eye view of the ego and the NPCs. The table below gives the same information in numbers.",
     });
     this.build();
   }
@@ -153,7 +153,7 @@ class Scene {
   }
 
   zones() {
-    // The way of each NPC that crosses, and the part of it that is in the ego's way.
+    // The path of each crossing NPC, and its conflict zone with the ego's path.
     return this.finding.vehicles.flatMap(({ name, zone }, index) => (zone ? [
       svg("path", { class: `zone ${stroke(index)}`, "stroke-width": px(zone.width * this.scale), d: this.scaled(zone.area) }, svg("title", {}, `zone of ${name}, ${zone.name}`)),
       svg("path", { class: `way ${stroke(index)}`, d: this.scaled(zone.way) }),
@@ -211,7 +211,7 @@ class Scene {
   }
 
   drawGhost([index, share]) {
-    // The ego with a careful driver at the wheel, from the takeover on.
+    // The ego with a careful driver, after the takeover.
     const { ghost } = this.finding;
     const at = [index - (ghost?.first ?? 0), share];
     this.ghost.setAttribute("visibility", ghost && at[0] in ghost.along ? "visible" : "hidden");
@@ -221,7 +221,7 @@ class Scene {
   }
 
   box(along, across, more) {
-    // The box of a cell or a target, with so many pixels more than a vehicle and a lane have.
+    // The box of a cell or a target: the size of a vehicle and a lane, and so many more pixels.
     const [length, width] = [this.ego.length * this.scale + more, this.finding.road.lane_width * this.scale - 4 + more];
     return { x: px(this.x(along) - length / 2), y: px(this.y(across) - width / 2), width: px(length), height: px(width) };
   }
@@ -263,7 +263,7 @@ class Scene {
   }
 
   drawPointer(state, index) {
-    // A text at the edge says where a vehicle is that is out of sight; several there are below each other.
+    // A label at the edge points to a vehicle outside the picture. Labels do not overlap.
     const isLeft = state.along < this.ego.along;
     let y = clamp(this.y(state.across) + 4, 14, this.height - RULER - 8);
     while (this.taken.some((other) => other.isLeft === isLeft && Math.abs(other.y - y) < 14)) y += 14;
@@ -274,7 +274,7 @@ class Scene {
   }
 
   drawTrails(time, frame) {
-    // The ego's path on the road, and the NPCs' paths relative to the ego, because instructions are relative to it.
+    // The ego's path is drawn on the road. The NPCs' paths are relative to the ego, as their instructions are.
     const moments = [];
     for (let at = Math.ceil(Math.max(0, time - TRAIL_SECONDS) * 8) / 8; at < time; at += 0.125) moments.push(frameAt(this.finding.times, at));
     moments.push(frame);
@@ -293,7 +293,7 @@ class Scene {
     const place = event.kind === "collision" && other ? this.contact(other) : this.ego;
     const [x, y, side] = [this.x(place.along), this.y(place.across), other && other.along > place.along ? "end" : "start"];
     this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
-    // Where vehicles come from all sides, the words stand beside the impact, away from the other vehicle.
+    // If vehicles come from all sides, the words are next to the impact, on the side away from the other vehicle.
     change(this.impact.children[1], this.isWorld ? { x: side === "end" ? -18 : 18, y: 4, "text-anchor": side } : { y: y > 40 ? -20 : 30 });
   }
 

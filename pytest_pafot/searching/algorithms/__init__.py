@@ -1,1 +1,1 @@
-"""The algorithms of the search, each in one file, and the catalogue of their names."""
+"""The search algorithms and the catalogue of their names."""

@@ -1,8 +1,6 @@
-"""PAFOT: the paper's genetic algorithm with its local fuzzer and restarts, as an immutable value with ask and tell.
+"""PAFOT: the paper's genetic algorithm with its local fuzzer and restarts.
 
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. If the paper leaves something open, the
-parameter's description names the choice. Children are bred from their parents as driven, which includes the changes of
-the repair inside a run (section 2.1).
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.
 """
 
 from __future__ import annotations
@@ -23,16 +21,16 @@ from pytest_pafot.searching.evaluation import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.operators import best_of, elites, improves, mutate, parents, varied
+from pytest_pafot.searching.operators import best_of, breed, elites, improves, mutate, parents
 from pytest_pafot.searching.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.space import SearchSpace, sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PafotState:
-    """The state of the search between two calls of ``ask`` or ``tell``."""
+    """The state of the search."""
 
-    generation: int = 0  # of the main search, from 0; advances after a generation and its local search
+    generation: int = 0  # of the main search, from 0; it advances after a generation and its local search
     local_generation: int = 0  # 0 in the main search; in a local search it counts from 1, the mutants
     population: tuple[Evaluation, ...] = ()  # population of the main search
     local_population: tuple[Evaluation, ...] = ()  # population of the current local search
@@ -46,68 +44,64 @@ class PafotState:
 
 @dataclass(frozen=True, slots=True)
 class PafotSearch:
-    """The paper's search. The defaults are the paper's numbers.
+    """The paper's search, with the paper's numbers as defaults.
 
     Attributes:
         space: space of the scenarios.
-        population: number of individuals in a generation. The paper gives no number; its totals imply 4.
+        population: number of scenarios in a generation.
         crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
-        mutation_rate: probability that a child has one instruction replaced, p_m.
-        elite_share: share of the population, rounded up, that passes on unchanged because it is the best. It is not
-            evaluated again.
-        local_generations: generations that a local search breeds from its mutants; 0 turns local searches off.
-            With 1 and a population of 4, one local search requests 3 mutants and 3 children; the paper's totals imply
-            about 5 additional scenarios each.
-        local_mutation_factor: factor of the mutation rate in a local search, up to a rate of 1.
-        local_after: number of generations after a random population in which no local search starts.
-        restart_after: number of generations without a new best after which the population is abandoned.
-        breeding_attempts: number of times a child is bred again if its run is known: the child equals a member of the
-            population, or differs only in genes that begin after the run has ended. Running it again can show
-            something new in the paper's simulator, but not in a deterministic one. 0 accepts such children, as the
-            paper does.
+        mutation_rate: probability that one instruction of a child is replaced, p_m.
+        elite_share: fraction of the population that is kept unchanged, rounded up.
+        local_generations: generations of a local search after its mutants; 0 turns local searches off.
+        local_mutation_factor: factor of the mutation rate in a local search.
+        local_after: number of generations after a random population without a local search.
+        restart_after: number of generations without a new best before a restart.
+        breeding_attempts: number of times a child is bred again if its run is already known.
     """
 
     name: ClassVar[str] = "pafot"
     is_papers: ClassVar[bool] = True
 
     space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
+    population: int = field(default=4, kw_only=True)  # the paper gives no number, but its totals imply 4
     crossover_rate: float = field(default=0.5, kw_only=True)
     mutation_rate: float = field(default=0.5, kw_only=True)
     elite_share: float = field(default=0.25, kw_only=True)
+    # With a population of 4, a local search requests 3 mutants and 3 children; the paper's totals imply about 5
+    # scenarios.
     local_generations: int = field(default=1, kw_only=True)
     local_mutation_factor: float = field(default=1.5, kw_only=True)
     local_after: int = field(default=2, kw_only=True)
     restart_after: int = field(default=5, kw_only=True)
+    # A run is known if the child equals a member of the population, or differs only in genes after the end of the run.
+    # In the paper's simulator, another run could show something new. Here, runs are deterministic.
     breeding_attempts: int = field(default=20, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise ValueError(f"population: expected at least 2, for an elite and a child, received {self.population!r}")
+            raise ValueError(f"population: expected at least an elite and a child, but received {self.population!r}")
         rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
         counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
         check_parameters(self, rates=rates, factors=factors, **counts)
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
-                f"elite_share: expected a share that leaves room for a child in a population of {self.population}, "
-                f"received {self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
+                f"elite_share: expected a fraction that leaves room for a child in a population of {self.population}, "
+                f"but received {self.elite_share!r}. Use at most {1 - 1 / self.population:.2g}."
             )
 
     def start(self, rng: Generator) -> PafotState:
-        """Return the state before the first generation, whose population is random and valid (section 3.2)."""
+        # The first population is random and valid (section 3.2).
         return PafotState(fresh=self._random_population(rng))
 
     def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
-        """Return the scenarios of the generation that were not evaluated before, to evaluate them next."""
         check_ask(state.asked)
         if not state.fresh:
-            state = self._bred(state, rng)
+            state = self._breed(state, rng)
         return replace(state, asked=state.fresh, fresh=()), state.fresh
 
     def tell(
         self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -125,13 +119,11 @@ class PafotSearch:
     def _random_population(self, rng: Generator) -> tuple[Scenario, ...]:
         return tuple(sample(self.space, rng) for _ in range(self.population))
 
-    def _bred(self, state: PafotState, rng: Generator) -> PafotState:
-        """Select the elites of a population and breed the children that complete the next one.
-
-        A local search only mutates (section 3.6: "a mutation-based fuzzing process").
-        """
+    def _breed(self, state: PafotState, rng: Generator) -> PafotState:
+        """Select the elites, and breed the rest of the next population."""
         population, crossover_rate, mutation_rate = state.population, self.crossover_rate, self.mutation_rate
         if state.local_generation:
+            # A local search only mutates (section 3.6: "a mutation-based fuzzing process").
             population, crossover_rate = state.local_population, 0.0
             mutation_rate = min(1.0, mutation_rate * self.local_mutation_factor)
         kept = elites(population, self.elite_share)
@@ -139,14 +131,15 @@ class PafotSearch:
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
         while len(children) < self.population - len(kept):
+            # Parents are bred as executed, which includes the changes of the repair inside a run (section 2.1).
             driven = (parent.executed for parent in parents(population, rng))
-            pair = varied(driven, self.space, crossover_rate, mutation_rate, rng)
+            pair = breed(driven, self.space, crossover_rate, mutation_rate, rng)
             children += [child for child in pair if attempts <= 0 or known.recall(child) is None]
             attempts -= 1
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
-        """Return a mutant of the incumbent whose run is not known yet, if ``breeding_attempts`` attempts find one."""
+        """Return a mutant of the incumbent, if possible one with an unknown run."""
         for _ in range(self.breeding_attempts):
             mutant = mutate(incumbent.executed, self.space, rng)
             if known.recall(mutant) is None:
@@ -163,7 +156,7 @@ class PafotSearch:
             state = replace(state, best=candidate, improved_at=generation)
             if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
                 return replace(state, generation=generation + 1), (best,)
-            # A fresh population: the incumbent, and mutants that each differ from it by one mutation.
+            # The local population consists of the incumbent, and of mutants that differ from it by one mutation each.
             known = EvaluationCache([candidate])
             mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
             state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
@@ -179,7 +172,7 @@ class PafotSearch:
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         if state.local_generation <= self.local_generations:
             return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
-        # The best of the local search replaces the incumbent in the main population (section 3.6).
+        # The best of the local search replaces the incumbent in the main population, if it is better (section 3.6).
         incumbent, candidate = state.best, best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
         better = candidate if improves(candidate, incumbent) else None

@@ -1,7 +1,7 @@
-"""The conditions that a policy evaluates in one decision, with their values, for policies whose source can be read.
+"""The conditions that a policy evaluates in one decision, with their values, if the policy's source is available.
 
-For this decision, the user's functions run a copy of their code, which is compiled from the same source, with each
-condition in a call of a recorder. So nothing is evaluated twice, and the values are those that the policy used.
+For this decision, the user's functions run a copy of their code, compiled from the same source, in which a recorder is
+called with each condition. So nothing is evaluated twice, and the values are those that the policy used.
 """
 
 from __future__ import annotations
@@ -24,64 +24,48 @@ import numpy as np
 
 from pytest_pafot.support.text import visible
 
-PARTING = 3
-"""The largest number of rows for conditions that another decision evaluates otherwise."""
+PARTING = 3  # the largest number of rows for conditions that another decision evaluates differently
 
-FIRST = 500
-"""The largest number of evaluations of a condition that are compared with those of another decision."""
+FIRST = 500  # the largest number of evaluations of a condition that are compared with those of another decision
 
+# the largest number of characters of a row; a longer one, which no person wrote, has no text of the condition
 LONGEST = 1000
-"""The largest number of characters of a row: only of longer ones, which no person wrote, the condition is left out."""
 
-LOOKED_AT = 50
-"""The largest number of elements of a value that are compared with those in another decision."""
+LOOKED_AT = 50  # the largest number of elements of a value that are compared with those in another decision
 
+# a constant in the copied code that is replaced by the recorder, so the code needs no name for it
 _RECORDER = "pytest-pafot: the recorder of conditions"
-"""A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
 
+# the nodes that have conditions, and the names of their fields
 _TESTS = {ast.If: "test", ast.While: "test", ast.IfExp: "test", ast.comprehension: "ifs", ast.match_case: "guard"}
-"""The nodes that have conditions, and under which name."""
 
+# parts of a condition that have names or conditions of their own
 _OTHERS = (ast.Lambda, ast.IfExp, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.JoinedStr)
-"""Parts of a condition whose names are not its values: they have names or conditions of their own."""
 
 _SIMPLE = (bool, int, float, str, type(None))
 
 
 class Evaluation(NamedTuple):
-    """One evaluation of a condition.
+    """One evaluation of a condition."""
 
-    Attributes:
-        number: its number among all of the decision.
-        outcome: its outcome as a text.
-        values: its values as texts, with their names.
-        exact: the same values in full, to be compared.
-    """
-
-    number: int
+    number: int  # among all evaluations of the decision
     outcome: str
-    values: tuple[tuple[str, str], ...]
-    exact: tuple[str, ...]
+    values: tuple[tuple[str, str], ...]  # with their names, as strings
+    exact: tuple[str, ...]  # the same values in full, for comparisons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluated:
-    """A condition that was evaluated in a decision.
+    """A condition that was evaluated in a decision."""
 
-    Attributes:
-        condition: its place and its text.
-        last: the last evaluation with its rarest outcome.
-        first: its first evaluations.
-    """
-
-    condition: str
-    last: Evaluation
+    condition: str  # file, line and text
+    last: Evaluation  # the last one with its rarest outcome
     first: tuple[Evaluation, ...] = ()
 
     def row(self, evaluation: Evaluation) -> str:
-        """Return an evaluation in a line."""
+        """Describe an evaluation in one line."""
         place, _, text = self.condition.partition(": ")
-        told = [
+        told = [  # values that repeat the condition or its outcome are omitted
             f"{name} = {value}"
             for name, value in evaluation.values
             if value != name and (name, value) != (text, evaluation.outcome)
@@ -91,10 +75,10 @@ class Evaluated:
         return row if len(row) <= LONGEST else f"{place}: {len(text)} characters -> {evaluation.outcome}"
 
 
-def differing(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
-    """Return the numbers of the evaluations that another decision makes with other values or another outcome.
+def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
+    """Return the numbers of the evaluations with different values or outcomes in another decision.
 
-    Where it goes on to another condition than this one, it is no longer compared.
+    The comparison stops where the other decision evaluates another condition.
     """
     here, there = (
         sorted((first, each.condition) for each in conditions for first in each.first)
@@ -110,21 +94,15 @@ def differing(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> se
 
 
 Whom = Mapping[int, tuple[int, ...]]
-"""The NPCs on which evaluations depend, by the number of the evaluation; those on none are left out."""
+"""The NPCs on which an evaluation depends, by its number."""
 
 
 class Parted(NamedTuple):
-    """An evaluation that another decision makes otherwise.
-
-    Attributes:
-        evaluation: the evaluation.
-        ending: what to add to its row.
-        whom: the NPC that is elsewhere there, so that its outcome depends on it, even if no value shows that.
-    """
+    """An evaluation with another result in another decision."""
 
     evaluation: Evaluation
-    ending: str
-    whom: tuple[int, ...]
+    ending: str  # added to its row
+    whom: tuple[int, ...]  # the NPC with another position; its outcome depends on this NPC, even if no value shows it
 
 
 def parting(
@@ -136,21 +114,16 @@ def parting(
     npc: int | None = None,
     whom: Whom = MappingProxyType({}),
 ) -> dict[str, Parted]:
-    """Return the evaluations that another decision makes otherwise, by condition.
-
-    If the other decision is answered otherwise, they are those with another outcome, in the order in which they were
-    evaluated, because the first one is the cause of those after it. If it is answered in the same way, they are those
-    with other values, which did not help, the last one first.
+    """Return the evaluations that differ in another decision, by condition.
 
     Args:
-        evaluated: the conditions of the decision, the last one first.
-        others: those of the other decision.
+        evaluated, others: the conditions of both decisions, the last one first.
         when: what is different in the other decision, in words.
-        is_other: whether the other decision is answered otherwise.
-        npc: the NPC that is elsewhere in the other decision; None for none.
-        whom: on whom the evaluations depend. Those of other NPCs than this one are left out: with a vehicle elsewhere,
-            a loop over vehicles may come to the same one earlier or later.
+        is_other: whether the other decision has another action.
+        npc: the NPC with another position in the other decision, or None.
+        whom: the NPCs on which the evaluations depend.
     """
+    # Differences that a loop over vehicles makes, because it comes to the same one earlier or later, are skipped.
     otherwise = {each.condition: each.first for each in others}
     found: list[tuple[int, str, Parted]] = []
     for each in evaluated:
@@ -161,14 +134,15 @@ def parting(
             ending = f"also {when}" if is_same else f"{when} {there.outcome}"
             found.append((here.number, each.condition, Parted(here, f"; {ending}", () if npc is None else (npc,))))
             break
+    # With another action, the first difference is the cause of the later ones.
     ordered = sorted(found, reverse=not is_other)[:PARTING]
     return {condition: row for _, condition, row in ordered}
 
 
+# names the rows with values that depend on no NPC; outcomes of earlier conditions may still be about one
 NOBODY = "no NPC, or unknown which"
-"""The name of the rows whose values depend on no NPC: outcomes of earlier conditions may still be about one."""
 Groups = tuple[tuple[str, tuple[str, ...]], ...]
-"""Rows of conditions by whom they are about: ``NPC 1``, ``no NPC, or unknown which``, or an empty text for all."""
+"""Rows of conditions by subject: ``NPC 1``, :data:`NOBODY`, or an empty string for all."""
 
 
 def shown(
@@ -180,13 +154,8 @@ def shown(
 ) -> Groups:
     """Return the rows of the conditions of a decision.
 
-    Each condition has one row, and one more if the NPC's evaluation and the one of its rarest outcome are two.
-
-    Args:
-        evaluated: the conditions, the last one first.
-        first: those that come first, as :func:`parting` returns them for the NPC.
-        npc: the NPC whose rows come first; those of no NPC follow.
-        whom: on whom the evaluations depend; None if that is unknown.
+    Each condition has one row, or two if the NPC's evaluation does not have the rarest outcome. The conditions in
+    ``first`` come first, as :func:`parting` returns them for the NPC.
     """
     rows: dict[tuple[int, ...] | None, dict[str, str]] = {}
 
@@ -194,7 +163,7 @@ def shown(
         about = None if whom is None else whom.get(evaluation.number, unless)
         rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{ending}"))
 
-    conditions = {each.condition: each for each in evaluated}
+    conditions = {each.condition: each for each in evaluated}  # first the rows of `first`, then the others
     for condition, parted in first.items():
         add(conditions.pop(condition), *parted)
     for each in conditions.values():
@@ -206,7 +175,6 @@ def shown(
 
 
 def _rarest(evaluations: Sequence[Evaluation]) -> Evaluation:
-    """Return the last evaluation with the rarest outcome."""
     counts = Counter(each.outcome for each in evaluations)
     return min(reversed(evaluations), key=lambda each: counts[each.outcome])
 
@@ -218,12 +186,11 @@ def _name(about: tuple[int, ...] | None) -> str:
 class Conditions:
     """The functions of a policy, each with a copy of its code that records conditions.
 
-    A function has none unless its source compiles to the code that it runs. So nothing is recorded of a file that has
-    changed since it was imported, or of a function that pytest rewrote because it has an ``assert``.
+    A function has no copy unless its source compiles to the code that it runs. So nothing is recorded if the file has
+    changed since its import, or if pytest rewrote the function because of an ``assert``.
     """
 
     def __init__(self, files: Iterable[Path], root: Path) -> None:
-        """Compile the Python files that are below a folder, as far as they can be read."""
         root, self._recorder = root.resolve(), _Recorder()
         self._copies: dict[str, dict[CodeType, CodeType]] = {}  # by file
         self._real: dict[str, str] = {}
@@ -242,14 +209,14 @@ class Conditions:
         self._functions = self._found()
 
     def __bool__(self) -> bool:
-        """Return whether conditions of any function can be recorded."""
         return any(self._copies.values())
 
     @contextmanager
     def recorded(self, ads: Any, evaluated: list[Evaluated]) -> Iterator[None]:
-        """Record the conditions that this thread evaluates while an ADS decides, and add them, the last one first.
+        """Record the conditions that this thread evaluates while an ADS decides.
 
-        Nothing is added for a generator with conditions, because it runs the code with which it has begun.
+        Append them to ``evaluated``, the last one first. A running generator keeps its old code, so its
+        conditions are not recorded.
         """
         before: list[tuple[FunctionType, CodeType]] = []
         try:
@@ -290,7 +257,6 @@ class Conditions:
 
 
 def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeType]]:
-    """Yield the code of each function with its copy: those in a function are in the same order in both."""
     inner, copies = ([each for each in code.co_consts if type(each) is CodeType] for code in (plain, marked))
     if [(each.co_name, each.co_freevars) for each in inner] == [(each.co_name, each.co_freevars) for each in copies]:
         for each, copy in zip(inner, copies, strict=True):
@@ -299,13 +265,12 @@ def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeTy
 
 
 class _Marking(ast.NodeTransformer):
-    """Puts each condition of a file, and each value in it, into a call of the recorder."""
+    """Replaces each condition of a file, and each value in it, by a call of the recorder."""
 
     def __init__(self, place: str) -> None:
         self._place = place
 
     def visit(self, node: Any) -> Any:
-        """Return a node of the source as it is in the copy."""
         name = _TESTS.get(type(node))
         if name is not None:
             tests = getattr(node, name)
@@ -327,13 +292,12 @@ class _Marking(ast.NodeTransformer):
 
 
 class _Values(ast.NodeTransformer):
-    """Puts the values in a condition into calls of the recorder: names, attributes, items and results of calls."""
+    """Replaces the values in a condition (names, attributes, items and results) by calls of the recorder."""
 
     def __init__(self, marking: _Marking, condition: ast.Constant) -> None:
         self._marking, self._condition = marking, condition
 
     def visit(self, node: Any) -> Any:
-        """Return a part of a condition as it is in the copy."""
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript, ast.Call, ast.NamedExpr)):
             text = ast.Constant(ast.unparse(node.target if isinstance(node, ast.NamedExpr) else node))
             return _called("value", node, self._condition, text, self._marking.generic_visit(node))
@@ -341,16 +305,12 @@ class _Values(ast.NodeTransformer):
 
 
 def _called(method: str, place: Any, *arguments: Any) -> Any:
-    """Return a call of the recorder, at the place of a node."""
     recorder = ast.Attribute(ast.Constant(_RECORDER), method, ast.Load())
     return ast.copy_location(ast.Call(recorder, list(arguments), []), place)
 
 
 class _Recorder:
-    """The object that copied code calls with its values; it returns each, and in other threads it does no more.
-
-    Functions that were made in the decision may be called after it, so they call it then, too.
-    """
+    """The object that the copied code calls with each value, and that returns the value."""
 
     def __init__(self) -> None:
         self.thread: int | None = None
@@ -360,7 +320,6 @@ class _Recorder:
         self._first: dict[str, list[Evaluation]] = {}
 
     def start(self) -> None:
-        """Record from now on what this thread evaluates, and forget what was recorded before."""
         self.thread = get_ident()
         self._numbers = count()
         self._values.clear()
@@ -368,17 +327,14 @@ class _Recorder:
         self._first.clear()
 
     def begin(self) -> int:
-        """Return the number of values so far, at the beginning of a condition."""
         return len(self._values)
 
     def value(self, condition: str, text: str, value: Any) -> Any:
-        """Note a value in a condition."""
         if self.thread == get_ident():
             self._values.append((condition, text, value))
         return value
 
     def end(self, condition: str, since: int, value: Any) -> Any:
-        """Note the outcome of a condition, unless it is no simple value, such as an array of booleans."""
         if self.thread == get_ident():
             values = {text: value for whose, text, value in self._values[since:] if whose == condition}
             del self._values[since:]
@@ -394,7 +350,6 @@ class _Recorder:
         return value
 
     def evaluated(self) -> list[Evaluated]:
-        """Return the conditions, the last one first."""
         return [
             Evaluated(
                 condition=condition,
@@ -406,7 +361,6 @@ class _Recorder:
 
 
 def _text(value: Any) -> str:
-    """Return a short text of a value, for which none of the user's code is called."""
     kind, value = type(value), _plain(value)
     if type(value) is float:
         is_plain = value == 0 or 1e-3 <= abs(value) < 1e6
@@ -423,7 +377,6 @@ def _text(value: Any) -> str:
 
 
 def _exact(value: Any, depth: int = 2) -> str:
-    """Return a text that is another one for another value, as far as that shows without calling the user's code."""
     kind, plain = type(value), _plain(value)
     if type(plain) in _SIMPLE:
         return _text(plain) if type(plain) is int else repr(plain)
@@ -441,7 +394,6 @@ def _exact(value: Any, depth: int = 2) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a number of numpy as one of Python, and anything else as it is."""
     return value.item() if issubclass(type(value), np.generic) else value
 
 

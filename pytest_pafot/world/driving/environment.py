@@ -1,7 +1,7 @@
-"""What an environment defines of its egos: actions and observations of policies, and drivers by its vehicle classes.
+"""An environment's actions and observations for policies, and drivers for its vehicle classes.
 
-The Kinematics observation is made in compiled code and without pandas, equal to the last bit: highway-env's function
-takes milliseconds for it, which is longer than all the rest of a run. All other observations are left to highway-env.
+The Kinematics observation is made in compiled code, equal to the last bit. highway-env's function takes milliseconds
+for it, which is longer than the rest of a run. highway-env makes all other observations.
 """
 
 from __future__ import annotations
@@ -45,32 +45,31 @@ from pytest_pafot.world.stock import AbstractLane, Road, RoadObject, Vehicle, cl
 def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
     """Raise a :class:`WorldError` for an action space that is not for one vehicle.
 
-    ``wrappers`` are the names of the wrappers that have made it from another; empty if it is the environment's own.
+    ``wrappers`` are the names of the wrappers that define the space, if any.
     """
     if isinstance(space, (spaces.Discrete, spaces.Box)):
         return
     expected, received = "a discrete or continuous action for one vehicle", f"the space {space}"
     if wrappers:
         received = f"{received} in {', '.join(wrappers)}"
-        fix = "let the wrappers' action_space be a Discrete or a Box"
+        fix = "make the action_space of the wrappers a Discrete or a Box"
         raise WorldError(field="wrappers", expected=expected, received=received, fix=fix)
-    fix = "multi-agent actions have no single ego"
+    fix = "use an action type for one vehicle, for example DiscreteMetaAction"
     raise WorldError(field="config.action", expected=expected, received=received, fix=fix)
 
 
 def checked_action(action: Any, space: Any) -> Any:
-    """Return an action as its space requires: as an int, or as a float array with the shape of the space.
+    """Convert an action to an int, or to a float array with the shape of the space.
 
     Raises:
-        BadAction: for an action of another kind or shape than the space has; numbers outside its bounds are the
-            environment's to limit.
+        BadAction: for another kind or shape. The environment limits numbers outside the bounds itself.
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
-    if is_choice:
+    if is_choice:  # only a choice is checked for its bounds: the environment limits other numbers itself
         expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
     try:
-        given = np.asarray(action)
+        given = np.asarray(action)  # may run the ADS's code, for example __array__
     except (TypeError, ValueError):  # such as rows of different lengths
         raise _bad(expected, action) from None
     if is_choice:
@@ -88,7 +87,6 @@ def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
 
 
 def _hint_at_choice(array: Any, space: Any) -> str:
-    """Return a hint for an array that an ADS returned in place of an action's number; empty if none fits."""
     if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
         return (
             "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5); for a command, write "
@@ -112,8 +110,8 @@ def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
 class View:
     """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
 
-    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the NPC's
-    state, and with the current speed as its desired speed, because an observer cannot know more.
+    Every NPC has the environment's own traffic class. Its desired speed is its current speed, because an observer
+    cannot know more.
     """
 
     def __init__(self, env: Any, run_env: Any) -> None:
@@ -123,7 +121,6 @@ class View:
         self.show(0)
 
     def show(self, tick: int) -> None:
-        """Update the view to the run's state."""
         source, env = self._run_env, self.env
         road = Road(
             source.road.network,
@@ -137,7 +134,7 @@ class View:
         ego.check_collisions = True
         road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
-        for each in source.road.vehicles:
+        for each in source.road.vehicles:  # without a route or a target: the NPCs' genes stay hidden
             if each is not source.vehicle:
                 state = np.array(each.position), float(each.heading), float(each.speed)
                 road.vehicles.append(self._traffic(road, *state))
@@ -150,6 +147,7 @@ class View:
         env.observation_space.seed(tick)
 
 
+# what highway-env's observations read of each class, but the compiled code does not
 _REPLACED = {
     Road: ("close_objects_to", "close_vehicles_to"),
     RoadObject: ("to_dict",),
@@ -157,10 +155,9 @@ _REPLACED = {
         "to_dict", "velocity", "direction", "destination", "destination_direction", "lane_offset", "lane_distance_to",
     ),
 }  # fmt: skip
-"""What highway-env's observations read of each class, but the compiled code does not."""
 
+# the observation classes of highway-env that are computed only from a road's vehicles
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
-"""The observation classes of highway-env that are computed only from a road's vehicles."""
 
 
 def observer(env: Any) -> Any:
@@ -182,7 +179,7 @@ def observe_by(env: Any, observe: Callable[[], Any]) -> None:
 
 
 def hide(env: Any, npc: int) -> Callable[[], Any]:
-    """Let an environment observe as if an NPC was not on its road, and return its function for that.
+    """Remove an NPC from an environment's observations, and return the new observation function.
 
     Raises:
         WorldError: for an observation that is not computed only from the vehicles on the road.
@@ -206,7 +203,6 @@ def hide(env: Any, npc: int) -> Callable[[], Any]:
 
 
 def _is_fit(stock: Any) -> bool:
-    """Return whether the kind and the options of highway-env's observation are supported."""
     if type(stock) not in (observation.KinematicObservation, observation.ExitObservation):
         return False
     names = set(stock.features)
@@ -217,7 +213,7 @@ def _is_fit(stock: Any) -> bool:
 class FastTable:
     """A faster function for Kinematics, and for the same table with the distance to an exit.
 
-    highway-env's own function observes if the road or any vehicle is of a class that observes in its own way.
+    It calls highway-env's own function if a class of the road or a vehicle overrides what that function reads.
     """
 
     def __init__(self, env: Any, stock: Any, network: Network) -> None:
@@ -229,12 +225,11 @@ class FastTable:
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
 
     def reads_poses_alone(self, traffic: Any) -> bool:
-        """Return whether it reads only the positions, headings and speeds of other vehicles, which are of a class."""
+        """Return whether it reads only positions, headings and speeds of vehicles of a traffic class."""
         of_lanes = {"cos_d", "sin_d", "long_off", "lat_off", "ang_off"}
         return of_lanes.isdisjoint(self._stock.features) and _is_plain(traffic, Vehicle)
 
     def __call__(self) -> Any:
-        """Return the observation."""
         road, stock, exit_lane, objects = self._env.road, self._stock, -1, []
         if not road or road.network is not self._roads:
             return self._slowly()
@@ -243,7 +238,7 @@ class FastTable:
         elif stock.include_obstacles:
             objects = road.objects
         ego = stock.observer_vehicle
-        is_plain = (
+        is_plain = (  # classes with their own way to observe need highway-env's function
             all(_is_plain(kind, Vehicle) for kind in {type(ego), *map(type, road.vehicles)})
             and _is_plain(road.__class__, Road)
             and all(_is_plain(each.__class__, RoadObject) for each in objects)
@@ -257,9 +252,8 @@ class FastTable:
 
     @cached_property
     def _table(self) -> Table:
-        """The table with its scale, which highway-env chooses at the first observation."""
         stock = self._stock
-        if stock.normalize and not stock.features_range:
+        if stock.normalize and not stock.features_range:  # as highway-env does at the first observation
             lanes = len(self._roads.all_side_lanes(stock.observer_vehicle.lane_index))
             ends = 5.0 * Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * lanes, *(2 * Vehicle.MAX_SPEED,) * 2
             stock.features_range = {name: [-end, end] for name, end in zip(("x", "y", "vx", "vy"), ends, strict=True)}
@@ -268,31 +262,28 @@ class FastTable:
 
 
 def _slow(stock: Any) -> Any:
-    """Return highway-env's own function, although another one may have replaced it."""
     return MethodType(type(stock).observe, stock)
 
 
 @lru_cache(maxsize=1000)
 def _is_plain(kind: Any, base: Any) -> bool:
-    """Return whether a class has those methods of a class of highway-env that compiled code replaces."""
     return issubclass(kind, base) and all(getattr(kind, name) is getattr(base, name) for name in _REPLACED[base])
 
 
 class GuardedDriver(EgoDriver):
-    """A driver whose decisions are made by Python code under guard."""
+    """A driver that decides by Python code under guard."""
 
     def __init__(self, ego: Body, every: int, guard: HangGuard) -> None:
         super().__init__(ego, every)
         self.guard = guard
 
     def decide(self, tick: int) -> AdsError | None:
-        """Decide under guard, and return the error of the user's code, or None."""
         guard = self.guard
         started = guard.clock()
         try:
             try:
                 guard.decision_starts()
-                action = self.decided(tick)
+                action = self.make_decision(tick)
             finally:
                 guard.decision_ends()  # before the exception is handled, which nothing may interrupt
             guard.raise_swallowed()
@@ -303,23 +294,15 @@ class GuardedDriver(EgoDriver):
         self.slowest = max(self.slowest, guard.clock() - started)
         return None
 
-    def decided(self, tick: int) -> Any:
-        """Decide, and return the action for the record; None if there is none."""
+    def make_decision(self, tick: int) -> Any:
+        """Decide, and return the action for the record, if any."""
         raise NotImplementedError
 
 
 class ObjectDriver(GuardedDriver):
-    """The driver of an ego that is a highway-env vehicle, moved by the code of its class.
+    """The driver of an ego that is a highway-env vehicle, which the code of its class moves.
 
-    By default the class also decides, at every tick. :meth:`show` must be called before the run begins.
-
-    Args:
-        vehicle: the ego as a highway-env vehicle, at its start.
-        road: the road of highway-env; the vehicle's own ``road`` may be the user's.
-        guard: the guard of its code.
-        every: the number of physics ticks between decisions.
-        ego: the ego in the loop; by default a body that follows the vehicle.
-        traffic: the class of which its code sees the NPCs; by default one without goals.
+    By default the class also decides, at every tick. Call :meth:`show` before the run starts.
     """
 
     def __init__(
@@ -332,35 +315,34 @@ class ObjectDriver(GuardedDriver):
         traffic: TrafficClass | None = None,
     ) -> None:
         super().__init__(ego or body_of(vehicle), every, guard)
-        self.vehicle = vehicle
-        self.road = road
-        self._class = traffic or TrafficClass(StockVehicle)
+        self.vehicle = vehicle  # at its start
+        self.road = road  # highway-env's; the vehicle's own `road` may be the user's
+        self._class = traffic or TrafficClass(StockVehicle)  # by default NPCs have no goals
         self.traffic: Any = None  # on the road from `show` on, if it is called
         self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
         self._plausibility: Plausibility | None = None
         self._tick = 0
 
     def show(self, places: Places, road: RoadOfGrid) -> None:
-        """Put the ego on its road, and the NPCs as it sees them; ``road`` is the road in the grid's coordinates."""
+        """Put the ego and the NPCs on highway-env's road."""
         self.traffic = Traffic(self._class, self.road, self.vehicle, places, road)
         if self._class.seen is StockVehicle or is_regulated(self.vehicle):
             foresee(self.traffic.vehicles, places, road)
 
     def show_all(self, *, is_lean: bool = False) -> None:
-        """Let the vehicles of highway-env be where those of the run are; the ego moves itself."""
+        """Update the vehicles of highway-env to the state of the run, except the ego, which moves itself."""
         if self.traffic is not None:
             self.traffic.show(is_lean=is_lean)
 
-    def decided(self, tick: int) -> Any:
-        """Call the vehicle's own ``act``."""
+    def make_decision(self, tick: int) -> Any:
         self.show_all()
         self.vehicle.act()
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the vehicle by its class, which may be the user's code, and return its error, or None.
+        """Move the vehicle with its class, which can be the user's code, and return its error, or None.
 
         Raises:
-            Implausible: if it moves as no vehicle moves.
+            Implausible: if it moves as no vehicle can move.
         """
         self._tick += 1
         guard, ego = self.guard, self.ego
@@ -387,15 +369,7 @@ class ObjectDriver(GuardedDriver):
 class PolicyDriver(ObjectDriver):
     """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
 
-    Args:
-        ads: the ADS.
-        env: the environment with the road and the ego of the run.
-        guard: the guard of the ADS's decisions.
-        every: the number of physics ticks between decisions.
-        traffic: the class of which the environment's code sees the NPCs.
-        view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
-            decision.
-        ego: the ego in the loop; by default a body that follows the environment's vehicle.
+    The ADS may simulate ahead in the ``view``, which shows the state of the run before each decision.
     """
 
     def __init__(
@@ -416,8 +390,7 @@ class PolicyDriver(ObjectDriver):
         self._view = view
         self.reads_poses_alone = False  # of the NPCs in a decision
 
-    def decided(self, tick: int) -> Any:
-        """Observe, call the ADS, and check and apply its action."""
+    def make_decision(self, tick: int) -> Any:
         return self._applied(self._ads(self.observe(tick)))
 
     def observe(self, tick: int) -> Any:
@@ -431,22 +404,18 @@ class PolicyDriver(ObjectDriver):
         return self._observe()
 
     def _applied(self, action: Any) -> Any:
-        """Check an action, apply it, and return the checked action."""
+        """Check and apply an action, and return it for the record."""
         checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)
         return checked
 
     def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles, whose class may look at the others."""
-        self.traffic.show()
+        self.traffic.show()  # the control of the vehicle's class may look at the NPCs
         self.vehicle.act()
 
 
 class ModelPolicyDriver(PolicyDriver):
-    """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
-
-    The environment's vehicles get the states of the run before anything reads them, which is once a decision.
-    """
+    """A driver with an ego that the kernel moves, in the same way as highway-env's vehicle classes."""
 
     def __init__(
         self,
@@ -463,25 +432,21 @@ class ModelPolicyDriver(PolicyDriver):
         super().__init__(ads, env, guard, every, traffic, view, self._model)
         is_stock = type(env.action_type).__module__.startswith("highway_env.")
         is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(traffic.seen)
-        self.reads_poses_alone = is_stock and is_fast
+        self.reads_poses_alone = is_stock and is_fast  # then a decision needs no lanes or targets of the NPCs
 
     def show_all(self, *, is_lean: bool = False) -> None:
-        """Let the vehicles of the environment be where those of the run are."""
         self._compiled.show(self.vehicle, self._model)
         super().show_all(is_lean=is_lean)
 
     def _applied(self, action: Any) -> Any:
-        """Check an action, let the environment interpret it, and return the checked action."""
-        checked = super()._applied(action)
+        checked = super()._applied(action)  # the environment interprets the action, and the kernel takes the goal
         self._compiled.take(self.vehicle, self._model)
         return checked
 
     def actuate(self) -> None:
-        """Set the controls of a tick."""
         self._model.act([])
 
     def step(self, dt: float) -> None:
-        """Move the ego for one tick [s]."""
         self._model.step(dt)
 
 
@@ -507,7 +472,7 @@ def follow(body: Body, vehicle: Any) -> None:
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
-    """Let highway-env's regulated roads predict NPCs along their ways or lanes; no other road predicts them."""
+    """Make highway-env's regulated roads predict NPCs along their paths or lanes."""
     for npc, body in zip(npcs, places.bodies[1:], strict=True):
         pose_at = road.foresight(body)
         if pose_at is not None:
@@ -515,7 +480,7 @@ def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
 
 
 def prediction(body: Body, pose_at: Callable[[float], Pose]) -> Callable[[Any], tuple[list[Any], list[float]]]:
-    """Return a prediction for highway-env's regulated road: an NPC continues along its way or lane at its speed."""
+    """Return a prediction for an NPC that continues along its path or lane at its speed."""
 
     def predicted(times: Any) -> tuple[list[Any], list[float]]:
         poses = [pose_at(body.x + body.speed * float(time)) for time in times]

@@ -39,12 +39,11 @@ from pytest_pafot.world.stock import (
     not_zero,
 )
 
-KINDS = (StraightLane, SineLane, CircularLane)
-"""The classes of lanes in the order of the kinds of a :class:`Network`."""
+KINDS = (StraightLane, SineLane, CircularLane)  # in the order of the kinds of a Network
 
 
 def compiled_network(network: Any) -> Network | None:
-    """Return a road network of highway-env in plain numbers; None if it has lanes of other classes."""
+    """Return a road network of highway-env in plain numbers, or None if it has custom lanes."""
     lanes = network.lanes_dict()
     kinds = list[int]()
     shapes = list[Any]()
@@ -57,7 +56,7 @@ def compiled_network(network: Any) -> Network | None:
         else:
             wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
             shape = *lane.start, *lane.direction, lane.heading, *wave
-        shapes += (*shape, *([0.0] * (9 - len(shape))))
+        shapes += (*shape, *([0.0] * (9 - len(shape))))  # padded with zeros, see Network
     sections = {section: number for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))}
     return Network(
         kinds,
@@ -72,7 +71,7 @@ def compiled_network(network: Any) -> Network | None:
 
 
 class SearchedLanes(RoadNetwork):  # type: ignore[misc]
-    """A road network whose lane search is compiled if its lanes are of highway-env's own classes."""
+    """A road network with a compiled lane search, unless it has custom lanes."""
 
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
@@ -81,7 +80,6 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self._compiled = compiled_network(network)
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """Return the index of the lane with the smallest sum of distance and angle, as highway-env does."""
         index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
         if self._compiled is None or heading is None or not (math.isfinite(x) and math.isfinite(y)):
@@ -97,27 +95,22 @@ def is_regulated(vehicle: Vehicle) -> bool:
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """The regulated road of highway-env for runs in which only the ego, the first vehicle, may have to yield.
-
-    Pairs of other vehicles are therefore not checked; nor is any pair if the ego does not obey the road's rules.
-    """
+    """The regulated road of highway-env for runs in which only the ego, the first vehicle, may have to yield."""
 
     vehicles: list[Any]
 
     def regulate(self, dt: float) -> None:
-        """Apply the road's rules as highway-env does in each step before the vehicles move."""
         self.steps += 1
         if self.steps % int(1 / dt / self.REGULATION_FREQUENCY) == 0:
             self.enforce_road_rules()
 
     def enforce_road_rules(self) -> None:
-        """Find the ego's conflicts, and make it yield if it has to."""
         ego, *others = everybody = self.vehicles
         if not is_regulated(ego):
             return
         self.vehicles = [ego]
         super().enforce_road_rules()  # ends its yielding after the set time
-        for other in others:
+        for other in others:  # pairs of other vehicles need no check, because only the ego may yield
             if self.is_conflict_possible(ego, other) and self.respect_priorities(ego, other) is ego:
                 ego.color = self.YIELDING_COLOR
                 ego.target_speed = 0
@@ -127,39 +120,34 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
-    """A highway-env vehicle with highway-env's own physics, lane search and shape, and without goals.
-
-    An ego that is a vehicle class sees the NPCs as such vehicles. ``target_speed`` is the current speed. highway-env's
-    IDM uses it as the desired speed of a follower, and an observer can know no more about an NPC. Nothing else can set
-    it, because the director drives.
-    """
+    """A highway-env vehicle with highway-env's own physics, lane search and shape, and without goals."""
 
     @property
+    # highway-env's IDM uses it as the desired speed of a follower. An observer knows no more about an NPC.
     def target_speed(self) -> float:
-        """The current speed [m/s], which stands in for the desired speed."""
         return float(self.speed)
 
     @target_speed.setter
     def target_speed(self, speed: float) -> None:
-        """Ignore the desired speed that an environment's own code gives its traffic."""
+        """Ignore the desired speed that an environment's code sets."""
 
     def control(self, acceleration: float, steering: float) -> None:
-        """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
         super().act({"steering": steering, "acceleration": acceleration})
 
 
+# the attributes that a run sets of a vehicle of an environment's own traffic
 STATE = ("position", "heading", "speed", "action", "lane", "lane_index", "target_lane_index", "target_speed")
-"""The attributes of a vehicle of an environment's own traffic that a run sets."""
 
 
 def _copied(held: Any, protocol: Any) -> Any:
-    """Let copies of a held vehicle move, such as those in which a planner simulates: they are of its own class."""
+    # Copies of a held vehicle, in which a planner simulates, must move: they get the class without HELD.
     kind, seen = type(held), type(held).__base__
     made: Any = object.__reduce_ex__(held, protocol)
     make, given, *others = made
     return (seen if make is kind else make), tuple([seen if each is kind else each for each in given]), *others
 
 
+# with these, the code of an environment can read and copy a vehicle, but not move it
 HELD: Mapping[str, Any] = MappingProxyType(
     {
         "speed": property(lambda self: vars(self)["speed"], lambda self, _: None),
@@ -168,7 +156,7 @@ HELD: Mapping[str, Any] = MappingProxyType(
         "__reduce_ex__": _copied,
     }
 )
-"""What makes a vehicle one that the code of an environment can read and copy, but not move."""
+# with these, a vehicle keeps the controls that it was given, whatever its class does, and looks for no contacts
 MOVED: Mapping[str, Any] = MappingProxyType(
     {
         **{name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")},
@@ -179,16 +167,10 @@ MOVED: Mapping[str, Any] = MappingProxyType(
         "check_collisions": property(lambda self: False, lambda self, _: None),
     }
 )
-"""What makes a vehicle keep the controls that it was given, whatever its own class does, and look for no contacts."""
 
 
 class TrafficClass:
-    """The class of an environment's own traffic, of which the NPCs are where the environment's code sees them.
-
-    Args:
-        seen: the class.
-        constants: those of its constants that the environment has set.
-    """
+    """The class of an environment's own traffic, with which the environment's code sees the NPCs."""
 
     def __init__(self, seen: Any, constants: Mapping[str, Any] = MappingProxyType({})) -> None:
         self.seen, self.constants = seen, constants
@@ -196,12 +178,12 @@ class TrafficClass:
 
     @cached_property
     def held(self) -> Any:
-        """The class derived from it that its vehicles have during a reset."""
+        """The class of the vehicles during a reset, derived from their own."""
         return self._with(HELD)
 
     @cached_property
     def moved(self) -> Any:
-        """The class derived from it that its vehicles have during a step of the road."""
+        """The class of the vehicles during a step of the road, derived from their own."""
         return self._with(MOVED)
 
     def __reduce__(self) -> Any:
@@ -213,27 +195,28 @@ class TrafficClass:
 
 
 def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
-    """Return the class that ``config["other_vehicles_type"]`` names, after a try of it next to the ego on a road.
+    """Return the class in ``config["other_vehicles_type"]``, after testing it next to the ego on a road.
 
-    ``changed`` has the constants of classes that the environment has set, by class.
+    ``changed`` has the constants that the environment has set, by class.
 
     Raises:
-        Exception: if there is no such class, or if its vehicles cannot be put where the NPCs are; the message says why.
+        Exception: if there is no such class, or if its vehicles cannot be put at the NPCs' positions.
     """
     seen: Any = given if isinstance(given, type) else class_from_path(given)
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
-        raise TypeError(f"{given!r:.100} is no class of vehicles that derives from highway-env's Vehicle")
+        raise TypeError(f"{given!r:.100} is not a class derived from highway-env's Vehicle")
     if own := [name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))]:
         raise TypeError(f"{seen.__name__} computes {', '.join(own)} itself, which the run has to set")
     ego = road.vehicles[0]
     pose = np.array(ego.position), float(ego.heading), float(ego.speed)
+    # A test: the class must accept the attributes that a run sets, and its vehicles must change to the derived classes.
     made = seen(road, *pose)
     plain = next(each for each in (IDMVehicle, ControlledVehicle, Vehicle) if issubclass(seen, each))(road, *pose)
     if lacking := [name for name in vars(plain) if not hasattr(made, name)]:
-        raise TypeError(f"{seen.__name__}.__init__ leaves out {', '.join(lacking)}")
+        raise TypeError(f"{seen.__name__}.__init__ does not set {', '.join(lacking)}")
     for name in vars(plain).keys() & STATE:
         setattr(made, name, getattr(made, name))
-    constants = dict[str, Any]()
+    constants = dict[str, Any]()  # of the base classes first, as Python finds attributes
     for each in reversed(seen.__mro__):
         constants = {name: value for name, value in constants.items() if name not in vars(each)}
         constants |= changed.get(each, {})
@@ -244,22 +227,7 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
 
 
 class Traffic:
-    """The NPCs of a run as the code of an environment sees them: vehicles of the class of its own traffic.
-
-    The run moves them. They have the attributes that their class gives them at their starts, and besides their motion,
-    they show the lane to which an NPC steers and the speed of its instruction as ``target_lane_index`` and
-    ``target_speed``. They have routes if the environment plans one for its ego, or on its road with rules for all.
-
-    Args:
-        traffic: their class.
-        stock_road: the road of highway-env, on which they are put next to the ego.
-        ego: the ego as a vehicle of highway-env.
-        places: the vehicles and where they are on the road.
-        road: the road in the grid's coordinates.
-
-    Attributes:
-        vehicles: the vehicles, in the order of the NPCs.
-    """
+    """The NPCs of a run as an environment's code sees them: vehicles of the environment's own traffic class."""
 
     def __init__(self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid) -> None:
         self.vehicles: list[Any] = []
@@ -267,6 +235,7 @@ class Traffic:
         self._bodies, self._npcs = places.vehicles[1:], places.bodies[1:]
         self._is_controlled = traffic.is_controlled
         stock_road.vehicles = [ego]
+        # NPCs have routes if the environment plans one for its ego, or on its road with rules for all.
         route, is_regulated = getattr(ego, "route", None), isinstance(stock_road, RegulatedRoad)
         for body, npc in zip(self._bodies, self._npcs, strict=True):
             made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
@@ -283,7 +252,7 @@ class Traffic:
         self.show()
 
     def show(self, *, is_lean: bool = False) -> None:
-        """Put the vehicles where the NPCs are now; if ``is_lean``, without lanes and targets, which take longer."""
+        """Move the vehicles to the NPCs, and update their lanes and targets unless ``is_lean``."""
         for each, body in zip(self.vehicles, self._bodies, strict=True):
             each.position = np.array([body.x, body.y])
             each.heading, each.speed = body.heading, body.speed
@@ -295,7 +264,7 @@ class Traffic:
             self.show_targets()
 
     def show_targets(self) -> None:
-        """Let the vehicles show what the NPCs do now; their lanes must be known."""
+        """Update the targets of the vehicles to what the NPCs do now. The vehicles' lanes must be known."""
         for each, npc in zip(self.vehicles if self._is_controlled else (), self._npcs, strict=False):
             lane, each.target_lane_index = each.lane_index, each.lane_index
             # An NPC that is to stop has no speed of exactly 0, by which environments divide, as merge-v0 does.
@@ -309,7 +278,6 @@ class Traffic:
 
 
 def _target_speed(npc: Any) -> float:
-    """Return the speed of an NPC's current instruction, or the one that it keeps after its last [m/s]."""
     if isinstance(npc, CrossingNpc):
         return float(npc.wanted)
     if not npc.executed:
@@ -318,7 +286,7 @@ def _target_speed(npc: Any) -> float:
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:
-    """Make a highway-env network of parallel straight lanes between the nodes "0" and "1"; sizes are in metres."""
+    """Make a highway-env network of parallel straight lanes between the nodes "0" and "1", with sizes in metres."""
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
@@ -357,14 +325,14 @@ def straight_road(network: RoadNetwork) -> StraightRoad | None:
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
-    """Return the constants of a vehicle of highway-env, or of its IDM if the vehicle lacks one."""
+    """Return the constants of a highway-env vehicle, or of ``IDMVehicle`` where it has none."""
     return {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in CONSTANTS}
 
 
 class CompiledRoad:
-    """A road of highway-env and its lanes in compiled code, which copies vehicles from one to the other.
+    """The compiled form of a highway-env road, which copies vehicles to compiled ones and back.
 
-    Compiled vehicles are in road coordinates on a straight road, and otherwise in world coordinates.
+    Compiled vehicles are in road coordinates on a straight road, and in world coordinates on other roads.
     """
 
     def __init__(self, road: Any, lanes: StraightRoad | Network) -> None:
@@ -377,24 +345,20 @@ class CompiledRoad:
         self._is_regulated = isinstance(road, RegulatedRoad)
 
     def vehicle(self, vehicle: Any) -> GoalVehicle:
-        """Return a compiled vehicle in the state of a vehicle of highway-env.
-
-        At the end of a lane of a network, it asks highway-env's network for the next lane, which shortens the vehicle's
-        route.
-        """
+        """Return a compiled vehicle in the state of a highway-env vehicle."""
         network, numbers = self._road.network, self._numbers
 
         def routed() -> int:
             route = getattr(vehicle, "route", None)
             return -1 if not route or route[0][2] is None else int(route[0][2])
 
+        # asks highway-env's network, which shortens the vehicle's route
         def following(lane: int, x: float, y: float) -> tuple[int, int]:
             here, route, random = np.array([x, y]), getattr(vehicle, "route", None), self._road.np_random
             after = network.next_lane(self._named[lane][0], route=route, position=here, np_random=random)
             return numbers[after], routed()
 
         def route(lane: int) -> list[int]:
-            """Return the lanes of the route; where the route leaves the lane open, the vehicle keeps its number."""
             here = self._named[lane][0]
             return [numbers[a, b, here[2] if number is None else number] for a, b, number in vehicle.route or [here]]
 
@@ -406,6 +370,7 @@ class CompiledRoad:
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
+        # sets defaults for what follows: lane and timer are the vehicle's
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.closest = self._numbers[vehicle.lane_index]
         body.timer = float(getattr(vehicle, "timer", body.timer))
@@ -413,18 +378,18 @@ class CompiledRoad:
         return body
 
     def state(self, vehicle: Any) -> tuple[float, float, float, float]:
-        """Return x [m], y [m], heading [rad] and speed [m/s] of a vehicle of highway-env for a compiled one."""
+        """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle, in the compiled coordinates."""
         x, y = vehicle.position
         return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the goal of a vehicle of highway-env, and its controls, which a goal may replace."""
+        """Copy the goal and the controls from a highway-env vehicle."""
         if body.has_goal:
             body.goal, body.target_speed = self._numbers[vehicle.target_lane_index], float(vehicle.target_speed)
         body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the state of a compiled vehicle to a vehicle of highway-env."""
+        """Copy the state of a compiled vehicle to a highway-env vehicle."""
         vehicle.position = np.array([body.x + self._x, body.y + self._y])
         vehicle.heading, vehicle.speed = body.heading, body.speed
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
@@ -440,16 +405,13 @@ class CompiledRoad:
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
-    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and where each begins [m].
-
-    These are the lane itself and, if the road asks for it, the lanes that follow it and those that lead to it.
-    """
+    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and where each starts [m]."""
     lanes, graph = road.network.lanes_dict(), road.network.graph
     searched = [[(number, 0.0)] for number in numbers.values()]
     for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():
         after = [(end, node) for node in graph.get(end, {})]
         before = [(node, origin) for node, ends in graph.items() if origin in ends]
-        for section in (*after, *before):
+        for section in (*after, *before):  # if the road asks for it, lanes that follow and lanes that lead here
             count = len(graph[section[0]][section[1]])
             index = (*section, lane if lane < count else 0)
             begins = lanes[origin, end, lane].length if section in after else -lanes[index].length
@@ -458,10 +420,7 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
 
 
 def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
-    """Return the rules of a regulated road of highway-env for a vehicle that ``model`` drives; None on other roads.
-
-    The vehicle is the ego.
-    """
+    """Return the rules of a regulated road for an ego that ``model`` drives, or None for other roads."""
     way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
@@ -473,7 +432,7 @@ def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, netw
 
 
 def obstacles_on(road: Any) -> list[Body]:
-    """Return the objects on a road of highway-env behind which its vehicles brake."""
+    """Return the objects on a highway-env road for which its vehicles brake."""
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):

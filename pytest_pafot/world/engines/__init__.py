@@ -1,1 +1,1 @@
-"""Runs of scenarios: of every kind of ego by one loop, and by ``env.step``, mostly as a check."""
+"""Runs of scenarios: by one loop for every kind of ego, or by ``env.step``, which confirms findings."""

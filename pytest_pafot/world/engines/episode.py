@@ -1,4 +1,4 @@
-"""Episodes of an unchanged environment: its own start, its own steps and traffic, and its own flag for crashes."""
+"""Episodes of an unchanged environment, with its own start, steps, traffic and crash flag."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
 from pytest_pafot.world.plausible import Plausibility
 
+# Returns what the ego has done in an episode so far: `crashed`, `moved` or both.
 Watch = Callable[[], set[str]]
-"""A function that returns what the ego has done in an episode until now: ``crashed``, ``moved`` or both."""
 
+# The longest episode of an environment that does not specify a duration [s].
 LONGEST = 3600.0
-"""The longest episode of an environment that does not specify a duration [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +46,10 @@ class Episode:
 
     Attributes:
         seed: seed of the episode.
-        crashed: whether highway-env flagged the ego as crashed, also if the flag was cleared within the step.
-        error: error of an ADS that hung or returned no action, or exception that it or the environment raised, after
-            which the episode was not driven on.
-        undriven: what ended the episode without a crash at its first step or within its first second, or that the ego
-            never moved; empty if the policy drove.
+        crashed: whether highway-env flagged the ego as crashed, even if the flag was cleared within the step.
+        error: error that ended the episode: of a policy that hung or returned no action, or an exception.
+        undriven: why the episode does not count: what ended it without a crash within its first second or step, or that
+            the ego never moved. Empty if the policy drove.
     """
 
     seed: int
@@ -60,17 +59,17 @@ class Episode:
 
 
 def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False) -> Episode:
-    """Drive an episode of a world's own traffic with a new ADS.
+    """Run an episode of a world's own traffic with a new policy.
 
     Args:
-        world: world, whose environment is reset with the seed.
-        factory: factory of an ADS of any kind.
-        seed: seed of the episode.
-        is_planner: whether the ADS receives an :class:`pytest_pafot.Observation` and returns acceleration and steering.
+        world: world with the environment.
+        factory: factory of a policy of any kind.
+        seed: seed of the reset.
+        is_planner: whether the policy receives an :class:`pytest_pafot.Observation` and acts in SI units.
 
     Raises:
         AdsFactoryError: if the factory returns an object that cannot drive.
-        WorldError: if the environment cannot be used, or its road is not straight and the ADS is a planner.
+        WorldError: if the environment cannot be used, or its road is not straight and the policy is a planner.
     """
     environment, limit, policy = world.environment, world.hang_limit, Policy(factory)
     environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
@@ -108,10 +107,7 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
 
 
 def _watching(env: Any) -> Watch:
-    """Watch the ego of an environment, also within each step, before the environment or a wrapper may reset it.
-
-    An ego that moves as no vehicle does ends the episode with an error, unless it has crashed before.
-    """
+    # Within each step, too, because the environment or a wrapper may reset the ego before the step ends.
     start, simulate, done = tuple(env.vehicle.position), env._simulate, set[str]()
     road_step, known = env.road.step, dict[str, Any]()
 
@@ -144,7 +140,7 @@ def _watching(env: Any) -> Watch:
 def _drive_by_actions(
     outer: Any, made: Ads, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None, watch: Watch
 ) -> int:
-    """Drive an episode with a policy that receives observations and returns actions; return the number of steps."""
+    # Returns the number of steps.
     env, policy = outer.unwrapped, made.policy
     check_action_space(outer.action_space)
     every = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
@@ -164,7 +160,7 @@ def _drive_by_actions(
 def _drive_beside(
     env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, watch: Watch
 ) -> tuple[int, AdsError | None]:
-    """Drive an episode with a vehicle class, or a planner's car, in the place of the environment's own ego.
+    """Run an episode in which a vehicle class, or a planner's car, replaces the environment's ego.
 
     Return the number of steps, and an error of the planner.
     """
@@ -179,7 +175,7 @@ def _drive_beside(
         env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:
-        ego.act = _planned(env, made, seed, guard, around, errors)
+        ego.act = _connect_planner(env, made, seed, guard, around, errors)
     for steps in itertools.count(1):
         with around.call():
             _, _, *ends, _ = env.step(None)
@@ -189,13 +185,11 @@ def _drive_beside(
     return steps, next(iter(errors), None)
 
 
-def _planned(
+def _connect_planner(
     env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, errors: list[AdsError]
 ) -> Callable[..., None]:
-    """Return what lets a planner see the vehicles that were there at the start, and control its car.
-
-    After an error of the planner, which goes into ``errors``, the car keeps its controls until the end of the step.
-    """
+    # The planner sees the vehicles that were there at the start. After an error, its car keeps its controls until the
+    # end of the step.
     road, hz = straight_road(env.road.network), int(env.config["simulation_frequency"])
     if road is None:
         raise WorldError(
@@ -230,12 +224,10 @@ def _planned(
 
 
 def _steps(env: Any) -> int:
-    """Return the largest number of steps in an episode of an environment."""
     steps: int = math.ceil(_duration(env.unwrapped) * env.unwrapped.config["policy_frequency"]) + 1
     limit: int | None = getattr(env.spec, "max_episode_steps", None)
     return min(steps, limit or steps)
 
 
 def _duration(env: Any) -> float:
-    """Return the longest time that an episode of an environment takes [s]."""
     return min(float(env.config.get("duration", LONGEST)), LONGEST)

@@ -1,11 +1,10 @@
-"""Runs of a scenario by independent code: ``env.step`` of the plain registered highway-env environment.
+"""Runs of a scenario by ``env.step`` of a registered highway-env environment.
 
-A finding depends on this package's own road, vehicles and loop. This module confirms it with highway-env's own code:
-the environment of ``gymnasium.make``, its road and vehicle classes, observations, action types and frames per decision.
-This package's are the NPCs' director, called in the road's ``act``; the contact test, called after each step of the
-road; the record; and the observations and controls of planners in SI units, which highway-env does not have.
+This module confirms findings with highway-env's own road, vehicles, observations, action types and frames. Only these
+parts are the package's own: the director of the NPCs, called in the road's ``act``; the test for contact, called after
+each step of the road; the record; and the observations and controls of planners in SI units.
 
-For environments with wrappers or a step function of their own, it is the only way to run, and no second one.
+Environments with wrappers or a user's ``step`` have no other engine.
 """
 
 from __future__ import annotations
@@ -59,15 +58,15 @@ from pytest_pafot.world.plausible import Implausible, Plausibility
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork
 
+# highway-env's intersections change their traffic with these methods after each step.
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
-"""The methods with which highway-env's intersections change their traffic after each step."""
 
 
 class StockPolicy(GuardedDriver):
-    """The driver of the ego for a policy that observes and acts only through ``env.step``.
+    """The driver of an ego with a policy that observes and acts only through ``env.step``.
 
-    ``outer`` is the environment, in its wrappers if it has any. ``view`` is a second environment, for a planner that
-    simulates; it is updated before each decision.
+    ``outer`` is the environment in its wrappers. ``view`` is a second environment, for a planner that simulates; it is
+    updated before each decision.
     """
 
     def __init__(
@@ -97,16 +96,13 @@ class StockPolicy(GuardedDriver):
     def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
 
-        ``objects`` and ``hold`` are as for :func:`_reset_in_place`.
-
         Raises:
             WorldHang: if the environment, or a wrapper, does not return in time.
         """
         with around.call():
             self._see(lambda: _reset_in_place(self.outer, seed, objects, hold))
 
-    def decided(self, tick: int) -> Any:
-        """Call the ADS, and return its checked action, which the environment applies in the next step."""
+    def make_decision(self, tick: int) -> Any:
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
@@ -115,7 +111,7 @@ class StockPolicy(GuardedDriver):
         return self._action
 
     def take_step(self, around: EnvironmentGuard) -> None:
-        """Do the environment's step with the last action.
+        """Take a step of the environment with the last action.
 
         Raises:
             WorldHang: if the environment, or a wrapper, does not return in time.
@@ -124,10 +120,7 @@ class StockPolicy(GuardedDriver):
             self._see(lambda: self.outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
-        """Store the observation of a reset or step, and whether that ended the episode.
-
-        A wrapper's exception is raised later, in the next decision.
-        """
+        # An exception of a wrapper is raised later, in the next decision.
         try:
             self._seen, *others = result = call()
             self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only an info in addition
@@ -138,18 +131,18 @@ class StockPolicy(GuardedDriver):
             self.failure = error
 
     def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
         self.outer.unwrapped.vehicle.act()
 
 
 def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> tuple[Any, ...]:
     """Reset an environment and its wrappers, but leave all vehicles where they are, and return the result.
 
-    ``objects`` are those that the environment's ``_reset`` has put on the road. ``hold`` lets no more code move NPCs.
-    It is called before a ``reset`` of the user's own, and after highway-env's own.
+    ``objects`` are what ``_reset`` has put on the road. ``hold`` prevents code from moving NPCs. It is called before a
+    user's ``reset``, and after highway-env's own.
     """
     plain = outer.unwrapped
 
+    # highway-env's `_reset` would make new vehicles, so this function replaces it.
     def in_place_of_the_reset() -> None:
         plain.road.objects = list(objects)  # to which the environment's own `reset` may add
         if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
@@ -160,6 +153,8 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
         hold()
         return result
 
+    # A user's `reset` runs, and highway-env's part of it calls the replaced `_reset`. The effects of highway-env's own
+    # `reset` are repeated instead, and NPCs are held afterwards.
     if type(plain).reset is AbstractEnv.reset:
         plain.reset = in_place_of_highway_envs
     else:
@@ -174,7 +169,7 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
 
 
 def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
-    """Return the result of highway-env's own reset for the current state, with the configuration that wrappers set."""
+    # As highway-env's own reset returns it, with the configuration that wrappers have set.
     env.configure((options or {}).get("config"))
     env.define_spaces()
     env._reset()
@@ -205,12 +200,10 @@ def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
 def replay_environment(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy, *, is_planner: bool
 ) -> Trace:
-    """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment.
-
-    A policy's is in all its wrappers. Vehicle classes and planners need none, and call highway-env's own ``step``.
-    """
+    """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment."""
     outer, route = environment.make(), environment.route
     env, objects = _reset(outer, scenario, environment)
+    # A policy needs an ego of the environment. A planner that simulates also needs a second environment.
     view, traffic = None, environment.traffic if rules.ends or not (is_planner or policy.drives_itself) else None
     if not (is_planner or policy.drives_itself):
         put_policys_ego(environment, env, rules, scenario)
@@ -218,7 +211,7 @@ def replay_environment(
         if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected no wrappers= for a factory with a parameter `env`, received "
-                f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}; leave wrappers= out, because a planner that "
+                f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}; omit wrappers=, because a planner that "
                 f"simulates inside the environment uses the environment's observations and actions without wrappers"
             )
         view = View(environment.make().unwrapped, env)
@@ -240,10 +233,9 @@ def replay_environment(
 
 
 def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = None) -> tuple[Any, list[Any]]:
-    """Reset an environment of a world, or one of highway-env's own, and disable its methods that add traffic later.
+    """Reset an environment, disable its methods that add traffic later, and return it without wrappers.
 
-    Returns:
-        The environment without wrappers, and the objects that its ``_reset`` has put on the road.
+    The second value is the list of objects that ``_reset`` has put on the road.
     """
     env = outer.unwrapped
     if environment is not None:
@@ -273,11 +265,8 @@ def _si_run(
     route: tuple[Any, ...] | None = None,
     traffic: TrafficClass | None = None,
 ) -> Trace:
-    """Simulate a run of an ego that does not use the environment's observations and actions.
-
-    Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
-    environments compute rewards only for their own egos.
-    """
+    # For an ego that does not use the environment's observations and actions. Observations would take longer than all
+    # the rest, and some environments compute rewards only for their own egos.
     guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
     env.config["policy_frequency"] = env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
@@ -297,9 +286,8 @@ def _si_run(
 class EpisodeEnds(OwnEnds):
     """The ends of an episode by steps of an environment and its wrappers, for a run that moves its vehicles itself.
 
-    A step does all that it does in an episode, but in place of its simulation the run goes on, and the environment then
-    shows the vehicles of the run. So each end comes at the tick of ``env.step``, unless it depends on the action. The
-    driver has no action of the environment, so its steps get one that changes nothing, or any if there is no such one.
+    A step does everything but the simulation, which the run replaces. So each end occurs at the tick of ``env.step``,
+    unless it depends on the action. Each step gets an action that changes nothing, if there is one.
     """
 
     def __init__(
@@ -322,7 +310,7 @@ class EpisodeEnds(OwnEnds):
         self._error: AdsError | None = None
 
     def _reset(self, objects: Sequence[Any], seed: int, vehicles: VehiclesOfRun) -> None:
-        """Begin the episode, and let the run take the place of the environment's simulation from here on."""
+        """Reset the environment, and let the run replace its simulation from now on."""
         outer, env = self._outer, self._env
         _reset_in_place(outer, seed, objects, _nothing)
         self._put = showing(self._environment, env, vehicles)
@@ -338,7 +326,7 @@ class EpisodeEnds(OwnEnds):
             self._action = names["IDLE"]
 
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
-        """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
+        """Run a step of the wrapped environment, with ``move`` as its simulation, and return an error of the policy."""
         self._move, self.asked = move, loop.tick
         try:
             begin, self._begin = self._begin, _nothing  # before the first step
@@ -358,7 +346,6 @@ class EpisodeEnds(OwnEnds):
         return self._error
 
     def _simulate(self, *_: Any) -> None:
-        """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
         if not self._is_over:
             with self._around.paused():
                 self._error = self._move()
@@ -376,7 +363,7 @@ class EpisodeEnds(OwnEnds):
 def episode_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> EpisodeEnds:
-    """Begin an episode of a wrapped environment next to a run whose ego is none of its vehicles."""
+    """Start an episode of a wrapped environment for a run whose ego is not one of its vehicles."""
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
@@ -384,9 +371,9 @@ def episode_beside(
 
 
 def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
-    """Let a call stand in for a method of an environment.
+    """Let a call replace a method of an environment.
 
-    A copy of the environment, in which code of the user's looks ahead, has its own method.
+    A copy of the environment, in which a user's code looks ahead, keeps the original method.
     """
 
     def method(asked: Any, *given: Any, **named: Any) -> Any:
@@ -396,11 +383,7 @@ def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
 
 
 def _has_ended(result: Sequence[Any]) -> bool:
-    """Return whether a step says that the episode is over.
-
-    Raises:
-        ValueError: if it returns what steps of the older gym do, in which the third and fourth value are others.
-    """
+    # Steps of the old gym API return other values in the third and fourth position.
     if len(result) != 5:
         raise ValueError(
             "step: expected (observation, reward, terminated, truncated, info), as in gymnasium, received "
@@ -418,11 +401,11 @@ def end_of(outer: Any) -> str:
 
 
 def _nothing(*_: Any, **__: Any) -> None:
-    """Do nothing, in place of a method of the environment."""
+    """Do nothing, instead of a method of the environment."""
 
 
 class _Loop:
-    """One episode, with the NPCs' director added to the road's ``act``, and the record to its ``step``."""
+    """One episode. The road's ``act`` also calls the director of the NPCs, and its ``step`` makes the record."""
 
     def __init__(
         self,
@@ -469,11 +452,10 @@ class _Loop:
         env.road.act, env.road.step = self._act, self._step
 
     def __deepcopy__(self, memo: object) -> _Loop:
-        """Return itself, because highway-env deep-copies vehicles and their road to predict them."""
+        # highway-env deep-copies vehicles and their road to predict them.
         return self
 
     def run(self) -> Trace:
-        """Decide and step until the run ends, and return its trace."""
         try:
             with self._guard, self._around:
                 try:
@@ -490,10 +472,8 @@ class _Loop:
         return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
 
     def _says(self, ends: OwnEnds, name: str) -> bool:
-        """Return whether a method says that the episode is over, as it is with the run.
-
-        Otherwise, a wrapper whose step goes on until the end of the episode would go on after a collision for ever.
-        """
+        # A method reports the end of the run, too: otherwise, a wrapper that steps until the end of the episode would
+        # never stop after a collision.
         return self._is_over or ends.says(name)
 
     def _drive(self) -> None:
@@ -522,14 +502,13 @@ class _Loop:
             if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
                 raise WorldError(
                     f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
-                    f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
+                    f"did not, at {tick / self._run.rules.physics_hz:.1f} s; remove wrappers that end or reset "
                     f"episodes"
                 )
             if self._ends is not None and not self._is_over:
                 self._end(self._ends)
 
     def _end(self, ends: OwnEnds) -> None:
-        """End the run after a step if the environment or one of its wrappers ends the episode."""
         run, driver = self._run, self._driver
         if isinstance(driver, StockPolicy):
             if len(self._asked) == self._step_limit and not ends.ended:
@@ -546,15 +525,11 @@ class _Loop:
         run.ended, run.has_failed = ends.ended, ends.has_failed
 
     def _rate(self) -> int:
-        """Return the decisions per second after the reset, which may have changed the environment's configuration.
-
-        Raises:
-            WorldError: if the environment's own steps would not follow the run's ticks.
-        """
+        # The reset may have changed the environment's configuration.
         config, ticks = self._env.config, self._run.rules.physics_hz
         name, received = "config.simulation_frequency", config["simulation_frequency"]
         if received != ticks:
-            fix = "let it be the same after every reset"
+            fix = "keep it the same after every reset"
             raise WorldError(
                 field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
             )
@@ -563,21 +538,17 @@ class _Loop:
         return hz
 
     def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
-        """Let all NPCs of a policy's run be of a class of the environment's traffic."""
+        """Make all NPCs of a policy's run instances of a class of the environment's traffic."""
         for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
             npc.__class__ = getattr(self._class, name)
 
     def _find_contacts_alone(self) -> None:
-        """Turn off highway-env's own check of contacts with fixed objects, which would push the ego back."""
+        # highway-env's own check of contacts with fixed objects would push the ego back.
         for each in self._env.road.objects:
             each.check_collisions = False
 
     def _check_vehicles(self, method: str) -> None:
-        """Refuse an environment whose ``reset`` or ``step`` changes which vehicles there are, or drives the NPCs.
-
-        Raises:
-            WorldError: if other vehicles are on the road than the run put there, or an NPC has been moved.
-        """
+        # A `reset` or `step` of the environment may change which vehicles there are, or move the NPCs.
         found, known = list(self._env.road.vehicles), self._vehicles
         added, removed = (
             [each for each in a if all(each is not one for one in b)] for a, b in ((found, known), (known, found))
@@ -593,21 +564,21 @@ class _Loop:
             return
         raise WorldError(
             field="env_id",
-            expected="an environment whose vehicles during a run are the ego and the NPCs that the run puts there",
+            expected="an environment in which the ego and the NPCs of the run are the only vehicles",
             received=f"{self._who}, whose `{method}` {' and '.join(changes)} at "
             f"{self._run.loop.tick / self._run.rules.physics_hz:.1f} s",
-            fix="let only `_reset` make and choose other vehicles, whose place the NPCs take; what appears, goes or "
-            "moves can be an NPC of a scenario",
+            fix="create other vehicles only in `_reset`, where the NPCs replace them; use an NPC of a scenario "
+            "for a vehicle that appears, moves or leaves",
         )
 
     @property
     def _who(self) -> str:
-        """The class of the environment, and those of its wrappers."""
+        """The class of the environment, and the classes of its wrappers."""
         wrappers = wrapper_names(getattr(self._driver, "outer", self._env))
         return " in ".join([type(self._env).__name__, *wrappers])
 
     def _moved_npc(self) -> str:
-        """Return how code of the environment has moved an NPC since the last tick; empty if it has not."""
+        """Describe how the environment has moved an NPC since the last tick; return an empty string if it has not."""
         for number, (vehicle, body) in enumerate(zip(self._vehicles[1:], self._bodies[1:], strict=True)):
             if vehicle.speed != body.speed:
                 return f"sets the speed of NPC {number} from {body.speed:.1f} to {vehicle.speed:.1f} m/s"
@@ -616,11 +587,7 @@ class _Loop:
         return ""
 
     def _check_objects(self) -> None:
-        """Refuse objects that appear, move or go, of which reference drivers and verdicts would not know.
-
-        Raises:
-            WorldError: if there are others than at the first reset.
-        """
+        # Reference drivers and verdicts would not know of objects that appear, move or disappear.
         known, found = set(self._run.rules.obstacles), set(obstacles_of(self._env))
         if known == found:
             return
@@ -628,17 +595,14 @@ class _Loop:
         what = "more" if found > known else "fewer" if found < known else "others"
         raise WorldError(
             field="env_id",
-            expected="an environment whose fixed objects are on the road after its reset with seed 0, and stay there",
+            expected="an environment with fixed objects that are on the road after a reset with seed 0 and stay there",
             received=f"{type(self._env).__name__}, with {what} at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
-            fix="make all of them in `_reset`, or at the same places in each `reset`, or let an NPC be what appears or "
-            "moves",
+            fix="create all of them in `_reset`, or at the same positions in each `reset`; use an NPC for what appears "
+            "or moves",
         )
 
     def _act(self) -> None:
-        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``.
-
-        An ``act`` of the user's own is called for what it does to the ego.
-        """
+        # Replaces `Road.act`, which calls each vehicle's `act`. A user's `act` is called for its effect on the ego.
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
         # A `reset`, in which they are held, may call the environment's `step`; a road's own `act` may call theirs.
         self._make_npcs("seen" if self._road_act is None else "moved")
@@ -660,7 +624,6 @@ class _Loop:
                 npc.action = {"steering": body.steering, "acceleration": body.acceleration}
 
     def _step(self, dt: float) -> None:
-        """Call ``Road.step``; then record and test for contact, unless the run has already ended."""
         loop = self._run.loop
         try:
             self._make_npcs("moved")

@@ -1,7 +1,7 @@
-"""Runs of policies and of vehicle classes in an environment.
+"""Runs of policies and vehicle classes in an environment.
 
-Each run has a copy of the environment, which holds what the ego's driver and its observations read. The loop moves the
-vehicles; it never calls the environment's ``step`` or that of its road.
+Each run has a copy of the environment, which the ego's driver and its observations read. The loop moves the vehicles,
+without ``step`` of the environment or its road.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, Vehicle
 
+# The attributes with which highway-env's classes and roads control vehicles.
 OF_HIGHWAY_ENV = frozenset(
     (
         *("route", "target_lane_index", "target_speed", "target_speeds", "speed_index", "enable_lane_change", "timer"),
         *("collecting_data", "data", "is_yielding", "yield_timer"),
     )
 )
-"""The attributes with which highway-env's classes and roads control some vehicles."""
 
 
 def rollout(
@@ -45,11 +45,13 @@ def rollout(
     policy: Policy,
     own_ends: Callable[..., OwnEnds | None],
 ) -> Trace:
-    """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy.
+    """Simulate a scenario with a vehicle class or a policy.
 
-    ``own_ends`` returns what may end a run whose ego is none of the environment's vehicles, as :func:`ends_beside`.
+    ``own_ends`` returns what may end a run whose ego is not one of the environment's vehicles, like
+    :func:`ends_beside`.
     """
     with ExitStack() as at_the_end:
+        # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
         env, view = _env_of(environment, scenario), None
         if policy.drives_itself:
             ads = policy.make()
@@ -69,7 +71,8 @@ def rollout(
             if idm_model(given) is None or lanes is None or has_more:
                 if rules.ends:
                     put_ego(env, ego)
-                return _driven(environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
+                return _run_driver(environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
+            # The kernel drives an IDM on lanes that it knows.
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
@@ -81,13 +84,13 @@ def rollout(
             driver: PolicyDriver = ModelPolicyDriver(ads.policy, env, guard, every, environment.traffic, view, lanes)
         else:
             driver = PolicyDriver(ads.policy, env, guard, every, environment.traffic, view)
-        return _driven(environment, rules, scenario, driver, env)
+        return _run_driver(environment, rules, scenario, driver, env)
 
 
 def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
-    """Return the environment's own ends in a run whose ego is none of its vehicles; None if it has none."""
+    """Return the environment's own ends for a run whose ego is not one of its vehicles, or None if it has none."""
     if not rules.ends:
         return None
     env = _env_of(environment, scenario)
@@ -96,7 +99,7 @@ def ends_beside(
 
 
 def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
-    """Put the vehicles of a run into an environment, and return what moves them to where those of the run are."""
+    """Put the vehicles of a run into an environment, and return a function that updates their states."""
     ego, body = env.vehicle, vehicles.vehicles[0]
     traffic = Traffic(environment.traffic, env.road, ego, vehicles.places, vehicles.rules.road)
 
@@ -109,7 +112,7 @@ def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> C
     return show
 
 
-def _driven(
+def _run_driver(
     environment: GymEnvironment,
     rules: Rules,
     scenario: Scenario,
@@ -117,7 +120,6 @@ def _driven(
     env: Any,
     own_ends: Callable[..., OwnEnds | None] | None = None,
 ) -> Trace:
-    """Drive a run whose ego highway-env's code moves; ``own_ends`` is as in :func:`rollout`, None for a policy."""
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
     driver.show(vehicles.places, rules.road)
     ends = None
@@ -134,10 +136,9 @@ def _driven(
 
 
 def put_ego(env: Any, ego: Any) -> None:
-    """Make ``ego`` the only vehicle of an environment, in place of the ego that its reset made.
+    """Make ``ego`` the only vehicle of an environment, instead of the ego of its reset.
 
-    What the environment has added to its own ego, such as a goal, is passed on, and its attributes that are its own ego
-    become ``ego``.
+    It receives what the environment has added to its own ego, such as a goal.
     """
     own = env.vehicle
     for name, value in vars(own).items():
@@ -151,12 +152,10 @@ def put_ego(env: Any, ego: Any) -> None:
 
 
 def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    """Put the ego of a policy into an environment: of the class of its actions, or the class that its reset used.
-
-    An ego of a class of the user's own has the values that the reset gave it, such as by arguments of the class.
+    """Put the ego of a policy into an environment, with the class that the actions require, or that the reset used.
 
     Raises:
-        WorldError: if the class cannot be called as highway-env calls those of its actions.
+        WorldError: if the class cannot be called as highway-env calls the classes of its actions.
     """
     own, vehicle_class = env.vehicle, env.action_type.vehicle_class
     start, speed = rules.ego_position(scenario), rules.ego_speed(scenario)
@@ -169,7 +168,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     except TypeError as error:
         raise WorldError(
             field="env_id",
-            expected="an ego whose class can be called with (road, position, heading, speed), to start elsewhere",
+            expected="an ego whose class can be called with (road, position, heading, speed), to start anywhere",
             received=f"{type(own).__name__}{signature} ({error})",
             fix="give its other arguments defaults",
         ) from None
@@ -185,10 +184,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
-    """Copy the environment for one run, without vehicles.
-
-    Runs may nest, so each has a road, a time and random numbers of its own.
-    """
+    # Runs may nest, so each has a road, a time and random numbers of its own.
     env = copy.copy(environment.unwrapped)
     env.np_random = rng_of(scenario.seed)
     env.time = env.steps = 0
@@ -205,13 +201,13 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
 
 
 def usual_class(action_type: Any) -> Any:
-    """Return the class of the ego for which actions are made."""
+    """Return the class of the ego that actions are made for."""
     vehicle_class = action_type.vehicle_class
     return vehicle_class.func if isinstance(vehicle_class, functools.partial) else vehicle_class
 
 
 def give_speeds(ego: Any, speeds: Any) -> None:
-    """Give an ego the speeds of actions, if it is one that has them, as highway-env does when it makes one."""
+    """Give the speeds of actions to an ego that has them, as highway-env does."""
     if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)

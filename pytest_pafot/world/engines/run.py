@@ -1,4 +1,4 @@
-"""One run of a scenario: its vehicles at their starts, its loop, and the trace that it leaves."""
+"""One run of a scenario: its vehicles, its loop, and its trace."""
 
 from __future__ import annotations
 
@@ -36,31 +36,21 @@ from pytest_pafot.world.run_config import Rules, starts_of
 
 
 class VehiclesOfRun:
-    """The vehicles of one run at their starts, and the record of their states.
+    """The vehicles of one run at their starts, the ego first, and the record of their states.
 
-    Args:
-        rules: the rules that all runs share; the scenario fits them.
-        scenario: the scenario.
-        ego: the ego, at its start in world coordinates.
-        stock_road: returns the road as a road of highway-env, which not every run needs.
-
-    Attributes:
-        director: the director of the NPCs.
-        vehicles: all vehicles in world coordinates, the ego first.
-        places: where they are on the road.
-        rows: seven numbers for each vehicle at each tick; see :data:`pytest_pafot.world.kernel.observation.COLUMNS`.
-        loop: the loop, at tick 0.
-        sizes: length and width of each vehicle [m].
-        ended: what of the environment's own has ended the run, see :class:`pytest_pafot.model.trace.Trace`.
-        has_failed: true if that raised an error, or moved a vehicle as none moves.
-        plausibility: the check of what a user's code moves; None if it moves nothing.
+    ``stock_road`` returns the road as a road of highway-env, which not every run needs.
     """
 
+    # The part of the environment that has ended the run, see `Trace.ended`.
     ended = ""
+    # True if that part raised an error, or moved a vehicle in an impossible way.
     has_failed = False
+    # Checks the vehicles that a user's code moves; None if there is no such code.
     plausibility: Plausibility | None = None
 
     def __init__(self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]) -> None:
+        # The director knows where NPCs start. On a road that does not start at the origin, it moves NPCs in coordinates
+        # of the road, and a second body of each NPC has world coordinates.
         self.rules = rules
         self.scenario = scenario
         self.director = director = rules.director(scenario, ego.length)
@@ -71,26 +61,27 @@ class VehiclesOfRun:
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         self.vehicles = [ego, *npcs]
+        # `places` maps vehicles to the road. Its obstacles must not overlap the ego.
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
         self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
             if overlap(ego, box):  # an ego that is longer than the rules know
                 rules.refuse_start(scenario, each)
-        self.sizes = [(each.length, each.width) for each in self.vehicles]
+        self.sizes = [(each.length, each.width) for each in self.vehicles]  # [m]
         # Not zeroed, which would take a fortieth of a run: the loop writes each row before anything reads it.
         self.rows: Any = np.empty((ticks + 1) * len(self.sizes) * COLUMNS).data
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
 
     def close(self) -> None:
-        """End the simulation, after the run, if there is one."""
         if self.loop.simulation is not None:
             self.loop.simulation.close()
 
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
-        """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""
+        """Return the trace up to the current tick; ``error`` is an error of the policy that ended the run."""
         loop, places, count = self.loop, self.places, len(self.sizes)
         has_touched = loop.ego_touched or loop.npcs_touched
+        # A jump of a speed in the last tick is an error of the user's code, unless a collision explains it.
         if self.plausibility is not None and self.plausibility.doubt and not has_touched:
             self.ended, self.has_failed, error = self.plausibility.doubt, True, None
         shape = (loop.tick + 1, count, COLUMNS)
@@ -104,6 +95,7 @@ class VehiclesOfRun:
             track = np.array(places.track).reshape(ticks, count, -1)[: shape[0]]
         if len(places.on_way):
             on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
+        # The outcome: errors come first, then what has ended the loop, and the road only if nothing else has.
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
         outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
@@ -134,7 +126,7 @@ class VehiclesOfRun:
             track=track,
             zones=self.rules.road.zones(self.scenario),
             on_way=on_way,
-            driven=self.director.driven,
+            driven=self.director.driven_cells,
             obstacles=self.rules.obstacles,
             ego_vehicle=self.rules.ego,
             ended=self.ended,
@@ -144,8 +136,10 @@ class VehiclesOfRun:
         now = self._boxes(states[-1])
         touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
         tick = self.loop.tick
+        # The side is decided by the positions before the impact.
         before, ego = self._boxes(states[max(tick - 1, 0)]), states[-1, 0]
         if not touching:
+            # The ego has hit a fixed object, the one with the largest overlap.
             speed, objects = float(ego[SPEED]), [each for each in self.places.obstacles if overlap(now[0], each)]
             return Collision(
                 tick=tick,
@@ -175,7 +169,7 @@ class VehiclesOfRun:
         )
 
     def _cell(self, npc: int, positions: RelativePositions) -> Cell | None:
-        """Return the cell of an NPC that the ego has touched; None if the NPC was not on the ego's way."""
+        # None for an NPC that was not on the ego's path.
         if not positions.is_on_way[npc, -1]:
             return None
         cell = positions.last_cell(npc, self.loop.tick)
@@ -189,10 +183,7 @@ class VehiclesOfRun:
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
 
     def drive(self, driver: EgoDriver, guard: HangGuard, ends: OwnEnds | None = None) -> Trace:
-        """Drive to the end of the run under the guard of the ADS's decisions, and return the trace.
-
-        ``ends`` is what of the environment's own may end the run; None if nothing does.
-        """
+        """Run to the end under the guard, and return the trace. ``ends`` may end the run earlier."""
         ticks = self.rules.ticks(self.scenario)
         try:
             with guard:
@@ -206,10 +197,7 @@ class VehiclesOfRun:
             self.close()
 
     def _run_to_ends(self, driver: EgoDriver, ticks: int, ends: OwnEnds) -> AdsError | None:
-        """Run the loop, and ask the environment between its steps whether it ends the run.
-
-        So the loop itself knows nothing of such ends, which most runs do not have.
-        """
+        # The loop itself does not know the environment's ends, because most runs have none.
         loop = self.loop
         while loop.tick < ticks and not ends.ended:
             error = ends.step(lambda: loop.run(driver, min(loop.tick + ends.every, ticks)), loop)
@@ -221,45 +209,32 @@ class VehiclesOfRun:
 
 
 class OwnEnds:
-    """The methods by which an environment ends its episodes, asked after each of its steps in a run.
+    """The methods by which an environment ends its episodes, called after each of its steps in a run.
 
-    They are asked at the ticks at which ``env.step`` asks them. The ``config["duration"]`` that they read is at least
-    as long as the run, because the world decides its duration.
-
-    Args:
-        env: the environment of this run alone, with its road and vehicles.
-        names: the names of the methods that may end the run.
-        rules: the rules of the run.
-        guard: the guard of the user's code.
-        show: lets the vehicles of the environment be where those of the run are.
-
-    Attributes:
-        every: the number of ticks of a step of the environment.
-        ended: the method that has ended the run, with its error if it failed; empty if none has.
-        has_failed: true if the method raised an error.
-        asked: the tick at which the methods were asked most recently; 0 before.
+    ``show`` moves the vehicles of the environment to those of the run.
     """
 
     def __init__(
         self, env: Any, names: Sequence[str], rules: Rules, guard: HangGuard, show: Callable[[], None] | None = None
     ) -> None:
-        self.every = rules.step_ticks
+        self.every = rules.step_ticks  # of a step of the environment
+        # The method that has ended the run (with its error), whether it raised one, and the tick of the last calls.
         self.ended, self.has_failed, self.asked = "", False, 0
         self._env, self._guard, self._show = env, guard, show
         self._methods = {name: getattr(env, name) for name in names}
+        # The world decides the duration, so the methods see a `config["duration"]` that is at least as long.
         self._longest = max(rules.duration, rules.lasts or 0.0)
         self._hz = round(rules.physics_hz / self.every)
         self._time = 0.0
 
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
-        """Drive the run by ``move`` for a step of the environment, and ask all methods; return an error of the ADS."""
+        """Run a step of the environment with ``move``, call all methods, and return an error of the policy."""
         error = move()
         if error is None and not loop.is_over:
             self.ask(loop.tick)
         return error
 
     def ask(self, tick: int) -> None:
-        """Ask all methods at a tick that ends a step."""
         self.asked = tick
         self._time += 1 / self._hz  # as highway-env does, with the same rounding
         if self._show is not None:
@@ -270,8 +245,8 @@ class OwnEnds:
                 self.says(name)
 
     def says(self, name: str) -> bool:
-        """Return whether a method says that the episode is over. An error that it raises ends the run, too."""
-        method = _written(self._env, name, self._methods[name])
+        # An error that the method raises ends the run, too.
+        method = _method_name(self._env, name, self._methods[name])
         config = self._env.config
         longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
         try:
@@ -285,8 +260,8 @@ class OwnEnds:
         return is_over
 
 
-def _written(env: Any, name: str, method: Any) -> str:
-    """Return the name of a method as its author wrote it; with its module, if it is highway-env's own."""
+def _method_name(env: Any, name: str, method: Any) -> str:
+    """Return the name of a method for messages, with its module if it is highway-env's own."""
     module = str(getattr(method, "__module__", ""))
     if module.startswith("highway_env."):
         return f"{module}.{method.__qualname__}"
@@ -296,7 +271,7 @@ def _written(env: Any, name: str, method: Any) -> str:
 
 @contextmanager
 def _options(config: dict[str, Any], **given: Any) -> Iterator[None]:
-    """Let options of a configuration have other values in this context, in place, because a method may count in it."""
+    # In place, because a method may count in the configuration.
     before = {name: config[name] for name in given}
     config.update(given)
     try:
@@ -315,15 +290,9 @@ def planner_run(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> tuple[VehiclesOfRun, PlannerDriver]:
-    """Begin a run of a planner in SI units, on any road.
+    """Set up a run of a planner in SI units.
 
-    Args:
-        rules, scenario: the world's rules, and a scenario that fits them.
-        stock_road: returns the road as a road of highway-env, which not every run needs.
-        ads: the planner.
-        guard: the guard of its decisions.
-        decisions: the first decisions of the run, which replace calls of the planner.
-        body: the ego, in place of its usual body.
+    ``decisions`` replace its first calls. ``body`` is the ego, if it is not the usual one.
     """
     decides, sight = ads_and_sight(ads)
     ego = body or Body(rules.ego.length, rules.ego.width)
@@ -343,7 +312,7 @@ def planner_driver(
 ) -> PlannerDriver:
     """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`.
 
-    ``sight`` is None for perfect sight. ``rules`` may have another rate of decisions than those of the run.
+    ``sight`` is None for perfect perception. ``rules`` may have another decision rate than the rules of the run.
     """
     rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
     rates = rules.physics_hz, rules.every
@@ -357,7 +326,7 @@ def planner_driver(
 def vehicle_run(
     rules: Rules, scenario: Scenario, road: StraightRoad, network: Callable[[], Any], vehicle_class: Any
 ) -> Trace:
-    """Drive a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
+    """Run a highway-env vehicle class on a straight road that starts at the origin."""
     vehicle_class = built_as(rules.ego, vehicle_class)
     guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
 
@@ -381,12 +350,12 @@ def vehicle_run(
 
 
 def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
-    """Return a vehicle class of highway-env, or a ``functools.partial`` of one, as an ego that is a given vehicle.
+    """Return a vehicle class of highway-env, or a ``functools.partial`` of one, as an ego of a vehicle type.
 
-    An ego that is a car, which is what a world has unless the user says otherwise, has the size of its class.
+    A car has the size of the class.
 
     Raises:
-        WorldError: if the class has another size of its own.
+        WorldError: if the class has another size.
     """
     if kind == CAR:
         return vehicle_class
@@ -396,8 +365,8 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
     size, own = (kind.length, kind.width), (vehicle_class.LENGTH, vehicle_class.WIDTH)
     if own not in (size, (CAR.length, CAR.width)):
         name = vehicle_class.__name__
-        expected = f"the size that {name} has itself, {own[0]:g} x {own[1]:g} m"
-        fix = f"leave out ego= of the world, or LENGTH and WIDTH of {name}"
+        expected = f"the size of {name}, {own[0]:g} x {own[1]:g} m"
+        fix = f"omit ego= of the world, or LENGTH and WIDTH of {name}"
         raise WorldError(field="ego", expected=expected, received=kind.described, fix=fix)
 
     def clip_actions(self: Any) -> None:
@@ -414,10 +383,7 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
 def vehicle_of(
     vehicle_class: Any, road: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
 ) -> Any:
-    """Return a new ego on a road of highway-env at x [m], y [m], heading [rad] and speed [m/s].
-
-    highway-env's own check of collisions is turned off, because this package tests for contact itself.
-    """
+    """Return a new ego on a road of highway-env at x [m], y [m], heading [rad] and speed [m/s]."""
     x, y, heading = start
     vehicle = vehicle_class(road, [x, y], heading, speed)
     vehicle.check_collisions = False

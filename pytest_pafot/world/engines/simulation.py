@@ -1,8 +1,7 @@
-"""A user's simulator as what moves the vehicles of a run, in the place of the package's own model.
+"""Runs in which a user's simulator moves the vehicles.
 
-In each tick the loop lets all vehicles move by the package's model of a vehicle, as always. Then the simulator receives
-the controls that led there, with the states that this model gives, and its own states replace them. So everything that
-decides, observes, records and compares is the same as in the other worlds, and does not know of the simulator.
+In each tick, the package's own model moves all vehicles first. The simulator then receives the controls and the
+resulting states, and its own states replace them.
 """
 
 from __future__ import annotations
@@ -32,33 +31,33 @@ from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Sensor
 from pytest_pafot.world.plausible import Implausible, Plausibility, named
 
+# The time that `close` of a simulator may take [s].
 CLOSING = 10.0
-"""The time that ``close`` of a simulator may take [s]."""
+# The largest difference between the first state of a vehicle and the requested one [m, m, rad, m/s].
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
-"""The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
+# In its first tick, a vehicle of at least `MOVES` [m/s] must move in the direction of its heading, as far as its speed
+# says, except for this proportion of the distance and a change of speed [m/s^2].
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
-"""In its first tick, a vehicle of at least ``MOVES`` [m/s] drives where it heads and as far as its speed says, up to
-this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
+# One run only shows that something is wrong. This function finds the attribute, by experiments.
 CAUSE = "pytest_pafot.testing.check_world(world) looks for the cause"
-"""What finds the attribute that is wrong, by experiments; one run only shows that something is."""
 Headings = Literal[
     "x to y", "x to -y", "y to -x", "y to x", "-x to -y", "-x to y", "-y to x", "-y to -x",
 ]  # fmt: skip
+# The axis of heading 0 in quarter turns, and 1 if headings increase from x to y.
 HEADINGS = dict(zip(get_args(Headings), product(range(4), (1, -1)), strict=True))
-"""The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
 Reference = Literal["centre", "front", "rear axle"]
+# Like `STARTS`, for an NPC that is put into the state of its control.
 PUT = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
-"""The same as :data:`STARTS` for an NPC that is put in the state of its control."""
 
 
 class Vehicle(NamedTuple):
     """A vehicle at the start of a run, in the units and axes of the simulator.
 
     Attributes:
-        x, y, heading, speed: its place, heading and speed.
-        length, width: the size of its box.
-        lane: counted from 0 at the left.
-        kind: such as ``"car"`` or ``"truck"``.
+        x, y, heading, speed: position, heading and speed.
+        length, width: size.
+        lane: lane, counted from 0 at the left.
+        kind: name of the vehicle type, such as ``"car"`` or ``"truck"``.
     """
 
     x: float
@@ -75,11 +74,11 @@ class Control(NamedTuple):
     """The control of a vehicle in a tick, in the units and axes of the simulator.
 
     Attributes:
-        acceleration: in the simulator's speeds per second.
-        steering: the angle of the front wheels; it turns the vehicle in the direction in which headings grow.
-        x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model.
-        action: the ego's last action, if the simulator is ``native`` and the policy drives. ``acceleration`` and
-            ``steering`` are then 0. None if they count: for NPCs, and while a reference driver drives.
+        acceleration: requested acceleration, in the simulator's unit of speed per second.
+        steering: angle of the front wheels. Headings increase if it is positive.
+        x, y, heading, speed: state at the end of the tick by the package's kinematic bicycle model.
+        action: action of the ego's policy, if the simulator is ``native``; ``acceleration`` and ``steering`` are then
+            0. None for NPCs, and while a driver of the package replaces the policy.
     """
 
     acceleration: float
@@ -92,8 +91,7 @@ class Control(NamedTuple):
 
 
 class _Hz:
-    """The ticks per second of a simulator that states none: those of its ``dt``, else 15."""
-
+    # The default: the rate of `dt`, else 15 ticks per second.
     def __get__(self, simulator: Any, of: Any = None) -> float:
         dt = (of if simulator is None else simulator).dt
         return 15 if dt is None else 1 / dt
@@ -102,35 +100,34 @@ class _Hz:
 class Simulator(ABC):
     """The base class of a user's simulator, for :class:`pytest_pafot.SimulatorWorld`.
 
-    An object of it is used for many runs, one after the other; :meth:`start` begins each. All values are in the
-    simulator's own units and axes, which the class attributes state.
+    One object simulates many runs, one after the other. :meth:`start` starts each of them. All values are in the units
+    and axes that the class attributes state.
 
     Attributes:
-        dt: the duration of a tick [s], 0.001 to 0.2; None if ``hz`` states it.
-        hz: ticks per second, 5 to 1000; 15, unless ``dt`` states another duration.
-        lanes: the number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre
-            lines of all lanes from the left, each with the places of at least two points, in the direction of driving.
-        lane_width: None for 4 m.
-        speed_limit: None for 26.8 m/s.
-        length: that of the road if ``lanes`` is a number; None if it never ends.
-        start_lane, start_speed, start_at: on a road that is not straight, the lane in which the ego starts, its speed,
-            None for 22 m/s or the limit, and its place along this lane; None for the first one with room behind it.
+        dt: duration of a tick [s], from 0.001 to 0.2. None if you set ``hz``.
+        hz: ticks per second, from 5 to 1000. The default is 15, or 1 / ``dt``.
+        lanes: number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre lines
+            of all lanes from the left, each with at least two points (x, y) in the direction of driving.
+        lane_width: width of a lane. None for 4 m.
+        speed_limit: speed limit. None for 26.8 m/s.
+        length: length of the road if ``lanes`` is a number. None if it has no end.
+        start_lane, start_speed, start_at: on a curved road, lane of the ego at the start, its speed (None for 22 m/s or
+            the limit), and its position along the lane (None for the first one with enough road behind it).
         obstacles: fixed objects: x and y of the centre, heading, length and width of each.
-        y_is_left: True if y grows to the left of a vehicle that drives along x.
-        headings: the axis along which headings are 0, and the one along which they are a quarter turn: ``"x to y"``;
-            ``"y to x"`` for a compass, if x leads to the east and y to the north; or with a minus, ``"x to -y"``.
+        y_is_left: True if y is positive to the left of a vehicle that drives along x.
+        headings: axis along which headings are 0, and axis along which they are a quarter turn, such as ``"x to y"``.
+            For a compass with x to the east and y to the north: ``"y to x"``. With a minus: ``"x to -y"``.
         degrees: True if angles are in degrees.
-        reference: the point of a vehicle whose place ``x`` and ``y`` are: the ``"centre"`` of its box, the middle of
-            its ``"front"``, or the middle of its ``"rear axle"``.
-        rear_axle_offset: with ``"rear axle"``, its distance behind the centre of the box, for all vehicles, always
-            in metres [m].
-        metres: the length of the simulator's unit of length [m].
-        metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
-        moves_ego_only: True if :meth:`step` puts all NPCs in the states of their controls.
-        packages: names of installed packages whose versions change runs, for saved files.
-        one_at_a_time: True if a process can have only one of it, such as where an engine is global. No two runs are
-            then open at once in a process.
-        native: True if the policy gets what :meth:`observe` returns, and its answers are actions for :meth:`step`.
+        reference: point of a vehicle at x and y: the ``"centre"`` of its box, or the middle of its ``"front"`` or
+            ``"rear axle"``.
+        rear_axle_offset: distance from the centre of the box back to the rear axle, always in metres [m].
+        metres: length of the simulator's unit of length [m].
+        metres_per_second: value of the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
+        moves_ego_only: True if :meth:`step` puts all NPCs into the states of their controls.
+        packages: names of the installed packages whose versions affect runs. Saved files record these versions.
+        one_at_a_time: True if a process can have only one simulator of this class, for example because its engine is
+            global. Then a process never has two open runs.
+        native: True if the policy receives the return value of :meth:`observe` and returns an action for :meth:`step`.
     """
 
     dt: float | None = None
@@ -157,7 +154,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
-        """Begin a run with these vehicles, the ego first. Whatever is random follows from ``seed``."""
+        """Start a run with these vehicles, the ego first. All randomness must follow from ``seed``."""
 
     @abstractmethod
     def step(self, controls: Sequence[Control]) -> None:
@@ -168,18 +165,19 @@ class Simulator(ABC):
         """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
 
     def observe(self) -> Any:
-        """Return what the policy of a ``native`` simulator gets. It is called before each decision.
+        """Return the input of the policy of a ``native`` simulator. It is called before each decision.
 
-        It may have a parameter ``hidden``: the index of an NPC, from 0, that the policy shall not see, or None. Only
-        then can a report say whether the policy's answer depends on a vehicle.
+        With a parameter ``hidden``, the index of an NPC or None, it can hide this NPC from the policy. Reports need
+        this to find out whether an action depends on a vehicle.
         """
         raise NotImplementedError
 
     def check_action(self, action: Any) -> Any:
-        """Return an action of the policy of a ``native`` simulator as it is recorded, and as :meth:`step` gets it.
+        """Return an action of the policy of a ``native`` simulator in the form for :meth:`step` and the trace.
 
         Raises:
-            ValueError: for what is no action; here for None only. This ends the run as an error of the policy.
+            ValueError: if it is not an action. The run then ends as an error of the policy. By default, only None is
+                rejected.
         """
         if action is None:
             raise ValueError(
@@ -188,28 +186,23 @@ class Simulator(ABC):
         return action
 
     def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
-        """Release what the simulator holds, such as a process. The object is not used afterwards.
+        """Release resources such as a process.
 
-        It is called once, at the end of the session or of the process, or when the simulator has failed.
+        It is called once, at the end of the session or process, or after a failure of the simulator.
         """
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the arguments with which the class makes this simulator again, as plain data for a file."""
+        """Return the arguments of the class that make this simulator again, as data for a file."""
         return {}
 
 
 class Frame:
-    """The units and axes of a simulator, and where its straight road starts.
-
-    Args:
-        simulator: the simulator.
-        origin: world x [m], y [m] and heading [rad] of the beginning of the road, as the simulator states them, after
-            the change of axes. A run has its places from there.
-    """
+    """The units and axes of a simulator, and the origin of its straight road, as x [m], y [m] and heading [rad]."""
 
     def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         self.origin = origin
         self.side = -1.0 if simulator.y_is_left else 1.0
+        # Headings and steering angles change their sign with y.
         zero, sense = HEADINGS[simulator.headings]
         self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense
         self.angle = math.pi / 180 if simulator.degrees else 1.0
@@ -221,17 +214,15 @@ class Frame:
         self._cos, self._sin = math.cos(heading), math.sin(heading)
 
     def point(self, x: float, y: float) -> tuple[float, float]:
-        """Return x and y of a run [m] of a place in the simulator."""
+        """Convert a position in the simulator to x and y in a run [m]."""
         dx, dy = x * self.metres - self._x, self.side * y * self.metres - self._y
         return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
 
     def state(self, row: Sequence[float], length: float, near: float) -> tuple[float, float, float, float]:
-        """Return x, y, heading and speed of a vehicle of a given length [m, m, rad, m/s].
-
-        ``row`` has them as the simulator states them. The heading has the turn that is nearest to ``near`` [rad].
-        """
+        """Convert a row of the simulator's states to x, y, heading and speed in a run [m, m, rad, m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
+        # A simulator may limit headings to one turn, while a run must not jump by a turn.
         heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
         if ahead := self._share * length - self._behind:
             x -= ahead * math.cos(heading)
@@ -239,8 +230,9 @@ class Frame:
         return x, y, heading, row[3] * self.speed
 
     def stated(self, body: Any) -> tuple[float, float, float, float]:
-        """Return x, y, heading and speed of a body as the simulator states them, the inverse of :meth:`state`."""
+        """Convert the state of a body to the units and axes of the simulator."""
         x, y, heading = body.x, body.y, body.heading
+        # The opposite steps in the opposite order.
         if ahead := self._share * body.length - self._behind:
             x += ahead * math.cos(heading)
             y += ahead * math.sin(heading)
@@ -252,15 +244,7 @@ class Frame:
 
 
 class RepeatedBody(Body):
-    """The ego of a run that is driven again: it repeats its recorded decisions up to a tick, and then obeys its driver.
-
-    Unlike its states, the decisions also lead a simulator through the same run.
-
-    Args:
-        length, width: its size [m].
-        actions: the decisions.
-        until: the tick at which another driver takes over.
-    """
+    """The ego of a repeated run: it repeats its decisions up to a tick, and then obeys its driver."""
 
     def __init__(self, length: float, width: float, actions: Sequence[Any], until: int) -> None:
         super().__init__(length, width)
@@ -269,10 +253,8 @@ class RepeatedBody(Body):
         self._tick = 0
         self._steering = 0.0
         self.repeats: EgoDriver | None = None
-        """The driver that has its decisions, which needs the other vehicles of the run."""
 
     def step(self, dt: float) -> None:
-        """Move for a tick [s]."""
         driver = self.repeats
         if driver is not None and self._tick < self._until:
             self.steering = self._steering  # it holds, but the driver that takes over has set its own
@@ -285,31 +267,22 @@ class RepeatedBody(Body):
 
 
 class OwnUnits(tuple[Any, ...]):
-    """A tuple as the action of a native policy, whose numbers are not acceleration and steering in SI units."""
+    """A tuple as a native action. Its numbers are not acceleration and steering in SI units."""
 
     __slots__ = ()
 
 
 class Observed(Sensor):
-    """The maker of a native policy's observations, which has the last one."""
+    """The observations of a native policy."""
 
     seen: Any = None
 
     def observation(self, tick: int) -> Any:
-        """Return what the simulator has observed."""
         return self.seen
 
 
 class NativeDriver(PlannerDriver):
-    """The driver of an ego whose policy gets what a simulator observes, and answers with actions of the simulator.
-
-    Args:
-        vehicles: the vehicles of the run, whose loop gets the simulation before the run begins.
-        ads: the policy.
-        guard: the guard of its decisions.
-        decisions: the first decisions, which replace calls of the policy; they have been checked before.
-        every: the number of physics ticks between decisions.
-    """
+    """The driver of an ego with a native policy, which receives observations and returns actions of a simulator."""
 
     def __init__(
         self, vehicles: VehiclesOfRun, ads: Any, guard: HangGuard, decisions: Sequence[Any], every: int
@@ -317,12 +290,12 @@ class NativeDriver(PlannerDriver):
         self._loop, self._checked_before, self._observed = vehicles.loop, decisions, Observed()
         self._action: Any = None
         self._hidden = ads.npc if isinstance(ads, Unseeing) else None
-        check_by(ads, self._checked)
+        check_by(ads, self._check_action)
         ego, place, dt = vehicles.vehicles[0], vehicles.places.bodies[0], 1 / vehicles.rules.physics_hz
         super().__init__(ads, guard, (), ego, place, self._observed, lanes=0, lane_width=0.0, every=every, dt=dt)
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, and repeat a decision or call the policy. An error of the simulator is none of the policy's."""
+        # An exception of the simulator is not an error of the policy.
         self._observed.seen = self._loop.simulation.observe(self._hidden)
         taken = len(self.actions)
         if taken >= len(self._checked_before):
@@ -336,14 +309,14 @@ class NativeDriver(PlannerDriver):
         Raises:
             BadAction: if it is None, or the simulator does not accept it.
         """
-        self._take(self._checked(action))
+        self._take(self._check_action(action))
         self.slowest = max(self.slowest, seconds)
 
     def _take(self, checked: Any) -> None:
         self.actions.append(checked)
         self._action = copy.deepcopy(checked)  # step may write into it
 
-    def _checked(self, action: Any) -> Any:
+    def _check_action(self, action: Any) -> Any:
         simulator = self._loop.simulation.simulator
         try:
             Simulator.check_action(simulator, action)  # which refuses None, whatever the simulator's own does
@@ -357,7 +330,7 @@ class NativeDriver(PlannerDriver):
         return OwnUnits(checked) if type(checked) is tuple else checked
 
     def actuate(self) -> None:
-        """Pass the action on for a tick, in which the package's own model drives straight ahead."""
+        # The package's own model drives straight ahead in this tick.
         simulation = self._loop.simulation
         if self._action is None:
             place = f"{type(simulation.simulator).__name__}.check_action"
@@ -368,19 +341,7 @@ class NativeDriver(PlannerDriver):
 
 
 class Simulation:
-    """One run of a simulator.
-
-    Args:
-        simulators: what has simulators that are not in use.
-        frame: their units and axes.
-        vehicles: the vehicles of the run at their starts.
-        seed: the seed of the run.
-        guard: the guard of the decisions of the run.
-
-    Attributes:
-        simulator: the simulator.
-        action: the action of the ego's policy for the next tick; None if it gets acceleration and steering.
-    """
+    """One run of a simulator."""
 
     def __init__(
         self, simulators: Simulators, frame: Frame, vehicles: VehiclesOfRun, seed: int, guard: HangGuard
@@ -392,7 +353,7 @@ class Simulation:
         self._tick = 0
         self._hz = vehicles.rules.physics_hz
         self.simulator: Any = simulators.take()
-        self.action: Any = None
+        self.action: Any = None  # of a native policy, for the next tick
         self._is_sound = False  # until all that it has stated was right
         try:
             self._starts = self._vehicles(vehicles)
@@ -421,11 +382,11 @@ class Simulation:
         return starts
 
     def move(self) -> None:
-        """Let the simulator do the tick in which the package's own model has just moved all vehicles.
+        """Simulate the tick in which the package's own model has just moved all vehicles.
 
         Raises:
-            WorldError: if the first tick shows that units, axes or vehicles are mixed up, or for what are no states.
-            Implausible: if a vehicle does later what no vehicle does, or an NPC is not where it was put.
+            WorldError: if the first tick shows that units, axes or vehicles are mixed up.
+            Implausible: if a vehicle later moves in an impossible way.
         """
         frame, bodies = self._frame, self._bodies
         controls = [
@@ -449,6 +410,7 @@ class Simulation:
             self._check(states, self._put, PUT, "step")
         except WorldError as error:
             raise Implausible(str(error)) from None
+        # Put the vehicles where the simulator has moved them. NPCs in `_put` are there already.
         for number, (body, state) in enumerate(zip(bodies, states, strict=True)):
             if number in self._put:
                 self._speeds[number] = body.speed
@@ -460,7 +422,6 @@ class Simulation:
         self._is_sound = True
 
     def observe(self, hidden: int | None = None) -> Any:
-        """Return what the simulator lets its policy see, without an NPC if one is hidden."""
         self._is_sound = False
         with self._called("observe"):
             seen = self.simulator.observe() if hidden is None else self.simulator.observe(hidden=hidden)
@@ -468,7 +429,6 @@ class Simulation:
         return seen
 
     def _read(self) -> list[list[float]]:
-        """Return what the simulator states of all vehicles."""
         with self._called("states"):
             given = self.simulator.states()
         count = len(self._bodies)
@@ -488,11 +448,9 @@ class Simulation:
         return stated
 
     def _in_run(self, rows: Any) -> list[tuple[float, float, float, float]]:
-        """Return the states of a run that the simulator states."""
         return [self._frame.state(row, body.length, body.heading) for row, body in zip(rows, self._bodies, strict=True)]
 
     def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
-        """Refuse states that are not those of the bodies."""
         for number in numbers:
             for (name, largest), value in zip(most, states[number], strict=True):
                 wanted = getattr(self._bodies[number], name)
@@ -500,27 +458,28 @@ class Simulation:
                     continue
                 place = f"{self._place('states')} after {method}"
                 expected = f"{name} = {wanted:.2f} of {named(number)}, in m, rad and m/s with y to the right"
-                fix = "put each vehicle where it is asked to be, in the order given"
+                fix = "put each vehicle into the requested state, in the given order"
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
                     fix += f"; start received {received}, and states has {states_has}"
                 raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
 
     def _check_way(self, rows: list[list[float]]) -> None:
-        """Refuse a first tick in which vehicles did not drive where they head, as far as their speeds say."""
+        # In the first tick, vehicles must move in the direction of their headings, as far as their speeds say.
         dt = 1.0 / self._hz
         starts, ends = self._in_run(self._rows), self._in_run(rows)
         for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
             way = (to_x - x, to_y - y)
             wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
+            # Turned wheels may turn the direction by the slip of the bicycle model.
             slips = abs(math.atan(math.tan(self._bodies[number].steering) / 2.0))
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
-            expected = f"that {named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
+            expected = f"that {named(number)} drives {math.hypot(*wanted):.2f} m in the direction of its heading"
             turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
             received = f"{math.hypot(*way):.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
-            fix = f"do hz, units and axes fit, and does states have what is after the step? {CAUSE}"
+            fix = f"are hz, units and axes correct, and does states return the states after the step? {CAUSE}"
             raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
     def _place(self, method: str) -> str:
@@ -528,7 +487,7 @@ class Simulation:
 
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
-        """Call a method of the simulator, with a time limit of its own and its name in each error."""
+        # Each call has a time limit, and its name is in each error.
         guard = self._guard
         limit, guard.limit = guard.limit, patience_with_world(guard.limit)
         try:
@@ -540,27 +499,20 @@ class Simulation:
                 most, guard.limit = guard.limit, limit
             guard.raise_swallowed()
         except AdsHang:
-            expected, fix = f"that it returns within {most:g} s", "give the world a longer hang_limit"
+            expected, fix = f"that it returns within {most:g} s", "increase hang_limit of the world"
             raise WorldError(field=self._place(method), expected=expected, received="no return", fix=fix) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
             raise
 
     def close(self) -> None:
-        """Give the simulator back, after the run."""
         simulator, self.simulator = self.simulator, None
         if simulator is not None:
             self._simulators.give(simulator, is_sound=self._is_sound)
 
 
 class Simulators:
-    """The simulators of a world: one for each run that is being driven, which later runs use again.
-
-    Another process, which has been forked or has been sent the world, makes its own.
-
-    Args:
-        make: makes a simulator.
-    """
+    """The simulators of a world in this process. Each running run has one, and later runs use it again."""
 
     _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
 
@@ -576,16 +528,14 @@ class Simulators:
         self._all.add(self)
 
     def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
-        """Close the simulators of a world that nobody uses."""
         if self._free:  # at the interpreter's end, all are closed, and _close is gone
             _close(self._process, self._free)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes an equal one, without its simulators."""
+        # Without its simulators, which belong to this process.
         return Simulators, (self._make,)
 
     def take(self) -> Any:
-        """Return a simulator that no other run uses."""
         if self._process != getpid():  # those of the other process are not closed, because it still uses them
             self.__init__(self._make)  # type: ignore[misc]
         if self._free:
@@ -597,7 +547,7 @@ class Simulators:
         return self._make()
 
     def give(self, simulator: Any, *, is_sound: bool = True) -> None:
-        """Take a simulator back after its run; one that has failed is closed instead."""
+        """Take a simulator back after its run, or close it if it has failed."""
         if is_sound and self._process == getpid():
             self._free.append(simulator)
         else:
@@ -605,13 +555,13 @@ class Simulators:
 
     @classmethod
     def close_all(cls) -> None:
-        """Close all simulators of this process that are not in use. Later runs make others."""
+        """Close all unused simulators of this process. Later runs make new ones."""
         for each in tuple(cls._all):
             _close(each._process, each._free)
 
 
 def _close(process: int, simulators: list[Any]) -> None:
-    """Close simulators of a process, each once, if it is this one; another one still uses them."""
+    # A process that has forked from this one must not close its simulators.
     while simulators and process == getpid():
         simulator = simulators.pop()
         call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)

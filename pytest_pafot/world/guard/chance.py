@@ -1,7 +1,7 @@
-"""The global random generators in runs: seeded from the scenario, and given back afterwards.
+"""The global random generators in runs: seeded from the scenario, and restored afterwards.
 
-A policy that calls ``random.gauss`` or ``numpy.random.rand`` then drives a scenario in the same way each time, in any
-process. The generator of torch is seeded, too, if something else has imported torch.
+So a policy that calls ``random.gauss`` or ``numpy.random.rand`` acts in the same way each time, in any process. torch
+is seeded, too, if other code has imported it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pytest_pafot.support.process import REPLACED
 
 
 class _Generator(NamedTuple):
-    """The functions by which one global generator is saved, seeded, drawn from and compared."""
+    """The functions that save, seed, draw from and compare one global generator."""
 
     state: Callable[[], Any]
     give_back: Callable[[Any], object]
@@ -72,16 +72,13 @@ def _of_torch(torch: Any) -> _Generator:
     return _Generator(state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded)
 
 
+# With this value of `sys.tracebacklimit`, `traceback` takes no frame of a stack.
 NO_FRAMES = -1
-"""The value of ``sys.tracebacklimit`` with which :mod:`traceback` takes no frame of a stack."""
 
 
 def _seed_torch(torch: Any, seed: int) -> None:
-    """Seed the generators of torch on all devices, also on those that are initialised later.
-
-    For each kind of device that is not initialised, torch stores the seed with the text of the whole stack: a
-    millisecond within pytest, each time. Without frames, it takes a fortieth of that.
-    """
+    # Covers devices that are initialised later, too. For each of them, torch stores the seed with the complete stack as
+    # text, which takes a millisecond within pytest. Without frames, it takes a fortieth of that.
     before = vars(sys).get("tracebacklimit")
     if before == NO_FRAMES:  # another thread seeds at this moment, and gives back what was there before
         torch.manual_seed(seed)
@@ -97,17 +94,19 @@ def _seed_torch(torch: Any, seed: int) -> None:
 
 
 def _uses_gpu() -> bool:
-    """Return whether draws may be on a GPU, where nothing is drawn in addition to see them."""
+    # On a GPU, nothing is drawn in addition to detect draws.
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
     return cuda is not None and cuda.is_initialized()
 
 
 class _Generators:
-    """The global generators of this process while it makes runs.
+    """The global generators of this process during runs.
 
-    Seeding takes a hundredth of a fast run, and few policies draw. So if the first run draws nothing, the next ones
-    share a seed: numbers from another generator with that seed show after each run whether it drew. A run that drew is
-    made again, with its own seed as all later ones.
+    Seeding takes a hundredth of a fast run, and few policies draw numbers. So if the first run draws nothing, the next
+    ones
+    share a seed, and a number from another generator with that seed shows after each run whether it drew. A run that
+    drew
+    is repeated with its own seed, and so is each later one.
     """
 
     def __init__(self) -> None:
@@ -116,16 +115,16 @@ class _Generators:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the states that were saved, and what is known of the runs so far."""
+        """Forget the saved states and the results of earlier runs."""
         self._saved: list[tuple[_Generator, Any]] = []
         self._others: list[Callable[[], float]] = []  # those with the shared seed; empty if each run has its own
         self._may_share = True
 
     @contextmanager
     def held(self, *, may_share: bool = True) -> Iterator[None]:
-        """Give the generators back as they were at the end of the outermost block, not after each run.
+        """Restore the generators at the end of the outermost block.
 
-        Without ``may_share``, because other threads of this process draw, no run is ever made again.
+        Without ``may_share``, no run is repeated, because other threads of this process draw numbers.
         """
         self._may_share = self._may_share and may_share
         self._holders += 1
@@ -143,7 +142,7 @@ class _Generators:
 
     @REPLACED.shown(True)
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
-        """Make a run with seeded generators, and return its trace, which says whether it drew from them."""
+        """Make a run with seeded generators, and return its trace, which records whether it drew numbers."""
         __tracebackhide__ = True
         if self._is_running:
             return rollout(scenario, factory, **given)
@@ -171,19 +170,18 @@ class _Generators:
             self._release()
 
     def share(self) -> None:
-        """Give a seed to all runs from now on, up to a run that draws."""
         self._save()
         self._seed(0)
         self._others = self._seeded(0)
 
     def is_shared(self) -> bool:
-        """Return whether no run has drawn from the shared seed; if one has, each run has its own seed from now on."""
+        """Return whether no run has drawn from the shared seed. If one has, each later run has its own seed."""
         if self._save() or self._drew(self._others):
             self._others = []
         return bool(self._others)
 
     def _save(self) -> bool:
-        """Save the state of each generator that is not saved yet; return whether there was one."""
+        """Save each generator that is not saved yet, and return whether there was one."""
         torch = sys.modules.get("torch")  # only if something else has imported it
         known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
         new = known[len(self._saved) :]
@@ -203,7 +201,6 @@ class _Generators:
 
 
 GENERATORS = _Generators()
-"""Those of this process."""
 
 if hasattr(os, "register_at_fork"):  # Python seeds its own generator in a forked process
     os.register_at_fork(after_in_child=GENERATORS.begin)

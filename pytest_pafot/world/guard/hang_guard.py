@@ -1,4 +1,4 @@
-"""A limit on the wall-clock time of one decision, so that an ADS that hangs ends one scenario, not the session."""
+"""A wall-clock limit for decisions, so that a policy that hangs ends one run and not the session."""
 
 from __future__ import annotations
 
@@ -26,48 +26,43 @@ from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import AdsFactoryError, BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
 
+# The longest time between two checks of the running decisions [s].
 LONGEST_PAUSE = 1.0
-"""The longest time between two checks of the running decisions [s]."""
+# The watching thread ends after this number of checks without a run.
 IDLE_LOOKS = 5
-"""The number of checks without a run after which the watching thread ends."""
+# The extra time for a forked copy of this process to reach the end of the policy's code [s].
 COPY_LATE = 0.05
-"""The extra time for a forked copy of this process to reach the end of the ADS's code [s]."""
+# The time by which a decision, or the making of a policy, may exceed the end of its search before it is interrupted
+# [s]. Between decisions, a run ends immediately; in them, an interruption may leave the user's code in any state.
 LATE = 5.0
-"""The time for which a decision, or the making of an ADS, may exceed the end of its search before it is interrupted
-[s]. Between decisions, a run ends at once; in them, an interruption may leave the user's code in any state."""
+# Systems reject much longer timers, and no session lasts that long [s].
 LONGEST_TIMER = 1e6
-"""The longest timer [s]; systems refuse much longer timers, and no session lasts that long."""
+# Python calls functions of these modules when an object is deleted. Their exceptions are printed and reach no caller.
 SWALLOWING = frozenset({"weakref", "_weakrefset"})
-"""The modules whose functions Python calls when an object goes; what these raise is printed, and reaches nobody."""
+# A call of a simulator or of an environment's code may take this multiple of the world's `hang_limit`, and at least
+# this time [s]. A simulator may start slowly, but rarely as slowly as ten decisions that are too slow.
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
-"""The time that a call of an environment's own code may take, and that of a method of a simulator: a multiple of the
-world's ``hang_limit``, and at least this time [s]. A simulator may need long to start, but hardly as long as ten
-decisions that are too slow."""
+# One of these modules is on the stack while pdb, or an editor's debugger, waits for its user.
 DEBUGGERS = frozenset({"bdb", "pydevd"})
-"""The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastResort:
-    """The reaction to a decision that cannot be interrupted.
+    """The reaction to a decision that cannot be interrupted."""
 
-    Attributes:
-        end: a function that ends the process; the watching thread calls it.
-        grace: the time for which a decision may ignore interruptions before ``end`` is called [s].
-        file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same
-            time, for instance because native code holds the interpreter's lock. None if other code handles that case.
-        end_world: a function that ends the process if an environment hangs itself. None if the process must go on,
-            because a world may be slow.
-    """
-
+    # Ends the process. The watching thread calls it.
     end: Callable[[], None]
+    # A decision may ignore interruptions for this time before `end` is called [s].
     grace: float
+    # The file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same time,
+    # because native code holds the interpreter's lock. None if other code handles that case.
     file: int | None = None
+    # Ends the process if an environment hangs. None if the process must continue, because a world may be slow.
     end_world: Callable[[], None] | None = None
 
 
 def patience_with_world(hang_limit: float) -> float:
-    """Return how long the code of a world may take, by the limit of a decision [s]."""
+    """Return how long the code of a world may take [s], given the limit of a decision."""
     return max(WORLD_SHARE * hang_limit, LEAST_FOR_WORLD)
 
 
@@ -85,7 +80,7 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 def runs_end_in(seconds: float) -> Iterator[None]:
     """Let runs within a ``with`` block end with :class:`~pytest_pafot.support.errors.OutOfTime` after some time [s].
 
-    A run ends before its next decision. Of two nested blocks, the inner one holds. Other processes are not affected.
+    A run ends before its next decision. If blocks are nested, the inner one applies.
     """
     before, _WATCHDOG.until = _WATCHDOG.until, monotonic() + seconds
     try:
@@ -95,14 +90,14 @@ def runs_end_in(seconds: float) -> Iterator[None]:
 
 
 def check_time() -> None:
-    """Raise OutOfTime if the time of :func:`runs_end_in` is over; for code that waits for a run elsewhere."""
+    """Raise OutOfTime if the time of :func:`runs_end_in` has run out."""
     if monotonic() >= _WATCHDOG.until:
         raise OutOfTime
 
 
 @contextmanager
 def unending() -> Iterator[None]:
-    """Guard code of an ADS that is no decision, such as its factory. Only the end of :func:`runs_end_in` ends it."""
+    """Guard code of a policy other than decisions, such as its factory. Only the end of :func:`runs_end_in` ends it."""
     if _WATCHDOG.until == math.inf:
         yield
         return
@@ -111,21 +106,13 @@ def unending() -> Iterator[None]:
 
 
 def note_interrupt(interrupt: KeyboardInterrupt) -> None:
-    """Let the decision of the main thread, if one is running, end with an interrupt even if the ADS catches it.
-
-    A signal handler calls this, at any moment. So it takes no lock, which this very thread may hold.
-    """
+    """Let the running decision of the main thread end with an interrupt, even if the policy catches it."""
     for guard in _WATCHDOG.guards.copy():
         guard.note(interrupt)
 
 
 class OneProcess:
-    """A guard against an ADS that forks this process. Use it in a ``with`` statement around the ADS's code.
-
-    If the ADS forks and lets the copy return, the copy would also run the rest of the session, and write and print
-    everything twice. At the end of the ``with`` statement, the copy is recognised by its process id and ended, and the
-    original process raises an ``AdsFactoryError``.
-    """
+    """A guard against a policy that forks this process, for a ``with`` statement around its code."""
 
     def __init__(self) -> None:
         self.pid = getpid()
@@ -137,6 +124,7 @@ class OneProcess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
+        # A forked copy would run the rest of the session, and write and print everything twice.
         if getpid() != self.pid:
             self._noticed[0] = 1
             os._exit(1)  # without flushing: the original process has the same data in its buffers
@@ -158,41 +146,32 @@ class OneProcess:
 
 
 class AdsHang(BaseException):
-    """The interruption of a decision that exceeds the limit; no ``except Exception`` of the ADS catches it."""
+    """The interruption of a decision. No ``except Exception`` of the policy catches it."""
 
 
 class WorldHang(AdsHang):
-    """The interruption of a user's environment that exceeds its limit; the message names the class and the method."""
+    """The interruption of a user's environment. The message names the class and the method."""
 
 
 class HangGuard:
-    """A guard that interrupts the thread that made it when a decision takes longer than a limit.
+    """A guard that interrupts its thread when a decision takes longer than a limit.
 
-    In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls; elsewhere
-    the exception is raised at the thread's next Python instruction. An ADS that catches the exception is interrupted
-    again, and if it returns, :meth:`raise_swallowed` raises the exception after the call. With signals, a debugger that
-    waits for its user in the main thread is not interrupted. Two cases are left to the :class:`LastResort`: code that
-    never returns to the interpreter, and an ADS that catches every interruption and never returns. The next session
-    then names the scenario from its record on disk.
-
-    A decision is guarded while ``started`` is set. A caller may end a decision without a lock: it clears ``started``
-    first and then reads the clock. If the decision was within the limit by that clock, and ended before ``until``, no
-    thread has found it overdue, because the watching thread reads the clock before ``started``. Otherwise the caller
-    must call :meth:`settle`.
-
-    Attributes:
-        limit: the time after which a decision is interrupted [s].
-        clock: a monotonic clock [s].
-        started: the start of the running decision by the clock [s]; None between decisions.
-        until: the time by the clock from which no decision starts [s]; infinite if ``is_limited`` is False.
-        interruption: the exception that was raised in the running decision, or its class; None if there was none.
+    In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls. In other
+    threads, the exception is raised at the next Python instruction. The :class:`LastResort` handles code that never
+    returns to the interpreter, and a policy that catches every interruption.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True) -> None:
         self.limit = limit
         self.clock = clock
+        # No decision starts from this time by the clock [s].
         self.until = _WATCHDOG.until if is_limited else math.inf
+        # The start of the running decision by the clock [s]. A decision is guarded while it is set. A caller may end a
+        # decision without a lock: it clears `started` first and then reads the clock. If the decision was within the
+        # limit by that clock, and ended before `until`, no thread has found it overdue, because the watching thread
+        # reads the clock before `started`. Otherwise the caller must call `settle`.
         self.started: float | None = None
+        # The exception that was raised in the running decision, or its class.
         self.interruption: BaseException | type[BaseException] | None = None
         self.silence = limit  # the time for which native code may keep all Python threads from running [s]
         self._sent = False
@@ -221,14 +200,13 @@ class HangGuard:
 
     @property
     def pause(self) -> float:
-        """The longest time between two checks of the decision [s]."""
         return min(self.limit / 4, LONGEST_PAUSE)
 
     def decision_starts(self) -> None:
         """Start to guard a decision.
 
         Raises:
-            OutOfTime: if the time of its search is over.
+            OutOfTime: if the time of the search has run out.
         """
         now = self.clock()
         if now >= self.until:
@@ -237,7 +215,7 @@ class HangGuard:
         self.started = now
 
     def decision_ends(self) -> None:
-        """End the guarded decision; after this returns, nothing is interrupted.
+        """End the guarded decision. Nothing is interrupted after this method returns.
 
         The interruption may still arrive inside this call. The caller must then call it again.
         """
@@ -245,23 +223,20 @@ class HangGuard:
         self.settle()
 
     def raise_swallowed(self) -> None:
-        """Raise the interruption of a decision that has ended without an exception, because the ADS caught it.
-
-        Call this after :meth:`decision_ends`, outside of its ``finally``: an exception that ends the decision is told
-        as it is.
+        """Raise the interruption of a decision that has ended without an exception, because the policy caught it.
 
         Raises:
             AdsHang: if the decision exceeded the limit.
-            OutOfTime: if it outlasted its search.
-            KeyboardInterrupt: if the user ended the session while it ran; see :func:`note_interrupt`.
+            OutOfTime: if it lasted longer than its search.
+            KeyboardInterrupt: if the user ended the session during the decision.
         """
+        # Called after `decision_ends`, outside of its `finally`, so that an exception that ends the decision is kept.
         interruption, self.interruption = self.interruption, None
         if interruption is not None:
             raise interruption
 
     @contextmanager
     def decision(self) -> Iterator[None]:
-        """Guard a ``with`` block as a decision, and raise what the user's code has swallowed; see the methods above."""
         try:
             self.decision_starts()
             yield
@@ -275,7 +250,7 @@ class HangGuard:
             self.interruption = interrupt
 
     def settle(self) -> None:
-        """Wait for the arrival of an interruption that was sent; the caller must have set ``started`` to None."""
+        """Wait for an interruption that was sent. The caller must have set ``started`` to None."""
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:
@@ -288,10 +263,7 @@ class HangGuard:
                 return
 
     def look(self) -> float:
-        """Interrupt an overdue decision, and return for how long it has ignored interruptions [s].
-
-        Only the watching thread calls this.
-        """
+        # Returns how long the decision has ignored interruptions [s]. Only the watching thread calls this.
         with self._lock:
             now, started = self.clock(), self.started  # in this order; see the class
             why = self._interruption(now, started)
@@ -310,11 +282,10 @@ class HangGuard:
             return now - self._ignored[1]
 
     def is_stuck(self) -> bool:
-        """Return whether the world hangs and cannot be interrupted. Only the guard of an environment can know that."""
+        # Only the guard of an environment can know that.
         return False
 
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
-        """Return the exception that must interrupt a decision at a time [s]; None if nothing must."""
         if started is None:
             return None
         return AdsHang if now - started > self.limit else OutOfTime if now > self.until + LATE else None
@@ -338,7 +309,7 @@ class HangGuard:
 
 
 class _Watchdog:
-    """The thread that serves all guards of the process; starting one for each run would take as long as a run."""
+    """The thread that serves all guards of the process. A thread for each run would take as long to start as a run."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -347,11 +318,11 @@ class _Watchdog:
         self._thread: threading.Thread | None = None
         self._pause = LONGEST_PAUSE
         self._resort: LastResort | None = None
+        # No decision of a run starts from this time by `monotonic` [s].
         self.until = math.inf
-        """The time from which no decision of a run starts [s], by ``monotonic``."""
         self.process = OneProcess()
+        # The time after which the running timer fires [s].
         self._timed: float | None = None
-        """The limit for which the timer runs [s]; None if it does not run."""
 
     def watch(self, guard: HangGuard) -> None:
         with self._lock:
@@ -377,12 +348,11 @@ class _Watchdog:
             return before
 
     def before_fork(self) -> None:
-        """Stop the timer before a fork; the forked process lacks the timer's thread, and would wait for it forever."""
+        # The forked process does not have the timer's thread, and would wait for it forever.
         with self._lock:
             self._stop_timer()
 
     def after_fork(self) -> None:
-        """Note the time of a fork, in the process that forked."""
         self.process.forked_at = monotonic()
 
     def _run(self) -> None:
@@ -407,10 +377,8 @@ class _Watchdog:
                 resort.end()
 
     def _start_timer(self) -> None:
-        """Restart the timer that ends the process, until the next check; stop it if no run is in progress.
-
-        This is done per check and not per run, because a timer is a thread, and there may be a thousand runs a second.
-        """
+        # Restarted at each check and not for each run, because a timer is a thread, and there may be a thousand runs a
+        # second.
         resort = self._resort
         if not self.guards:
             self._stop_timer()
@@ -426,21 +394,19 @@ class _Watchdog:
 
 
 def _is_debugged() -> bool:
-    """Return whether a debugger may have stopped all threads."""
     monitoring = getattr(sys, "monitoring", None)  # since Python 3.12
     is_monitored = monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
     return is_monitored or sys.gettrace() is not None
 
 
 def _waits_in_a_debugger(frame: FrameType | None) -> bool:
-    """Return whether a debugger has stopped this thread at a line, or runs it."""
     while frame is not None and frame.f_globals.get("__name__") not in DEBUGGERS:
         frame = frame.f_back
     return frame is not None
 
 
 def one_process() -> OneProcess:
-    """Return the object that notices copies of this process; it is always the same object, which saves time per run."""
+    """Return the object that detects copies of this process. All runs share it, which saves time."""
     return _WATCHDOG.process
 
 
@@ -453,28 +419,30 @@ if hasattr(os, "register_at_fork"):  # a forked process has only one thread, and
     )
 
 
+# The class to catch around the user's code. Call `let_through` afterwards: it raises again every exception that the
+# code did not cause.
 UNFIT = BaseException
-"""The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
-the code did not cause."""
 
+# Tracebacks omit the frames of these modules, which are between a run and the policy.
 OWN = ("pytest_pafot.world.", "pytest_pafot.policies.", "pytest_pafot.testing.", "contextlib")
-"""The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
 
+# Exceptions of these plugins report that a test's time has run out, not an error in the running code.
 TIMEOUT_PLUGINS = ("pytest_timeout",)
-"""The plugins whose exceptions report that a test's time is over, and not an error in the code that was running."""
 
+# pytest ends the session in this module when the user quits the debugger.
 DEBUGGER = "_pytest.debugging"
-"""The module in which pytest ends the session when the user quits the debugger."""
 
 
 class Around:
-    """An ADS around another one, which may get the method ``close`` that a run calls only when it has driven."""
+    """A wrapper around a policy.
+
+    A run calls its ``close`` only if the policy has driven.
+    """
 
     def __init__(self, ads: Any) -> None:
         self._ads = ads
 
     def close(self) -> None:
-        """Close the other ADS, if it has a method for that."""
         close = getattr(self._ads, "close", None)
         if callable(close):
             close()
@@ -486,12 +454,10 @@ def exits() -> tuple[type[BaseException], ...]:
 
 
 def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
-    """Return whether an exception ends the session, leaves a debugger, or reports that a time limit is over.
-
-    Every other exception is a failure of the user's code, whatever its class: a panic of a native library, a cancelled
-    task, or ``pytest.skip()``, which would otherwise go unnoticed. A test function may call ``pytest.exit()``, but an
-    ADS (``is_of_ads``) may not, because with a status of 0 the session would pass.
-    """
+    """Return whether an exception ends the session, leaves a debugger, or reports that a time limit has passed."""
+    # Every other exception is a failure of the user's code: a panic of a native library, a cancelled task, or
+    # pytest.skip(), which would otherwise go unnoticed. A test function may call pytest.exit(). A policy may not,
+    # because the session would pass with a status of 0.
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
     if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime)):
@@ -503,20 +469,20 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
 
 
 def let_through(error: BaseException) -> None:
-    """Raise an exception again if it is an interruption; call this wherever all exceptions of an ADS are caught."""
+    """Raise an exception again if it is an interruption. Call this wherever all exceptions of a policy are caught."""
     if is_interruption(error, is_of_ads=True):
         raise error
 
 
 def _is_from_outside(error: BaseException) -> bool:
-    """Return whether a debugger or a signal handler, such as one for SIGTERM, raised an exception."""
+    # For example, a debugger, or a signal handler for SIGTERM.
     handlers = [getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()]
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     return any(frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames)
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
-    """Return the record of an exception in a decision; an interruption is raised again."""
+    """Return the record of an exception in a decision, or raise an interruption again."""
     let_through(error)
     if isinstance(error, BadAction):
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)
@@ -536,7 +502,6 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
 
 
 def _users_part(error: BaseException) -> TracebackType | None:
-    """Return the traceback without this package's own frames at its top."""
     frames = error.__traceback__
     while frames is not None and frames.tb_next is not None:
         if not str(frames.tb_frame.f_globals.get("__name__")).startswith(OWN):
@@ -547,10 +512,9 @@ def _users_part(error: BaseException) -> TracebackType | None:
 
 @contextmanager
 def closing(ads: Any, hang_limit: float) -> Iterator[None]:
-    """Call the ``close`` method of an ADS, if it has one, when a ``with`` block ends, also after an exception.
+    """Call the ``close`` method of a policy, if it has one, when a ``with`` block ends.
 
-    A failure of ``close`` does not change the result of the run. If it raises, or takes longer than ``hang_limit`` [s],
-    there is a ``RuntimeWarning``, also where warnings are errors.
+    If it raises an exception, or takes longer than ``hang_limit`` [s], there is only a ``RuntimeWarning``.
     """
     try:
         yield
@@ -561,9 +525,9 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
 
 
 def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
-    """Call a method ``close`` of the user's; warn if it raises, or takes longer than ``limit`` [s].
+    """Call a user's ``close`` method, and warn if it raises an exception, or takes longer than ``limit`` [s].
 
-    The warning is never an error, unlike others where the user makes errors of warnings, as ``-W error`` does.
+    The warning is never an error, even with ``-W error``.
     """
     guard = HangGuard(limit, is_limited=False)
     try:

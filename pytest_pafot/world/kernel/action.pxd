@@ -1,5 +1,5 @@
 from libc cimport math
-from pytest_pafot.world.kernel.driver cimport clamped
+from pytest_pafot.world.kernel.driver cimport clamp
 
 cdef double EGO_ACCELERATION, EGO_BRAKING, EGO_STEERING
 cdef double KP_SPEED, STEEPEST

@@ -1,4 +1,4 @@
-"""The actions of planners: their checks, the limits of a car, and the control for a :class:`Drive`."""
+"""The actions of planners: their checks, and the control of a car within its limits."""
 
 from __future__ import annotations
 
@@ -11,39 +11,37 @@ from typing import Any
 
 from pytest_pafot.support.errors import BadAction, plain_number
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.kernel.driver import clamped
+from pytest_pafot.world.kernel.driver import clamp
 
 EGO_ACCELERATION = 6.0
 """The strongest acceleration of an ego; a higher value in a planner's action has no effect [m/s^2]."""
 EGO_BRAKING = 9.81
-"""The strongest deceleration of an ego, full braking on a dry road; a higher value in an action has no effect [m/s^2].
-"""
+"""The strongest deceleration of an ego: full braking on a dry road [m/s^2]."""
 EGO_STEERING = math.pi / 4
-"""The largest steering angle of an ego; a larger angle in a planner's action has no effect [rad]."""
+"""The largest steering angle of an ego [rad]."""
 
-KP_SPEED = 1.0 / 0.6
-"""The acceleration per difference to the target speed, as in highway-env's ``ControlledVehicle`` [1/s]."""
-STEEPEST = math.pi / 4
-"""The largest heading relative to the lane that highway-env's vehicles steer for [rad]."""
+KP_SPEED = 1.0 / 0.6  # acceleration per difference to the target speed, as in highway-env's ControlledVehicle [1/s]
+STEEPEST = math.pi / 4  # largest heading relative to the lane that highway-env's vehicles steer for [rad]
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
-"""The default limits of a :class:`Drive` [m/s^2, m/s^3]. UN R79, 5.6.2.1.3, allows 3 and 5; these are lower, because
-braking and speeding up in a turn add to both. So ``properties.comfort`` fails for no lane change."""
+"""The default limits of a :class:`Drive` [m/s^2, m/s^3].
+
+UN R79, 5.6.2.1.3, allows 3 and 5. These are lower, because braking and speeding up in a turn add to both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """An action that replaces acceleration and steering: a lane, and either a speed or an acceleration.
+    """An action that sets a lane, and either a speed or an acceleration, instead of acceleration and steering.
 
-    In every physics tick until the next decision, the ego is steered towards the centre of the lane, within the lateral
-    limits. It accelerates or brakes towards the speed, or holds the acceleration.
+    Until the next decision, the ego steers towards the centre of the lane within the lateral limits. It accelerates or
+    brakes towards the speed, or keeps the acceleration.
 
     Attributes:
-        lane: the target lane, 0 at the left, as in :class:`VehicleState`.
-        speed: the target speed [m/s], 0 or more; None if ``acceleration`` is given.
-        acceleration: the acceleration [m/s^2]; None if ``speed`` is given.
-        lateral_acceleration: largest product of speed and turning rate [m/s^2], 0.1 to 100.
-        lateral_jerk: largest change of the lateral acceleration per second [m/s^3], 0.1 to 1000.
+        lane: target lane, counted from 0 at the left.
+        speed: target speed [m/s], at least 0. None if ``acceleration`` is given.
+        acceleration: acceleration [m/s^2]. None if ``speed`` is given.
+        lateral_acceleration: limit of the lateral acceleration [m/s^2], from 0.1 to 100.
+        lateral_jerk: limit of the change of the lateral acceleration per second [m/s^3], from 0.1 to 1000.
     """
 
     lane: int
@@ -54,7 +52,7 @@ class Drive:
 
 
 def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
-    """Return an action as a pair of floats, acceleration and steering, or as a :class:`Drive` with plain numbers.
+    """Convert an action to a pair of floats, or to a :class:`Drive` with plain numbers.
 
     Raises:
         BadAction: if it is neither a pair of finite numbers nor a :class:`Drive` to one of the ``lanes`` lanes.
@@ -81,7 +79,7 @@ def possible_steering(wanted: float) -> float:
 
 
 def acceleration_to_speed(wanted: float, speed: float) -> float:
-    """Return the acceleration towards a speed [m/s^2]."""
+    """Return an ego's acceleration towards a speed [m/s^2]."""
     return possible_acceleration(KP_SPEED * (wanted - speed))
 
 
@@ -94,32 +92,30 @@ def lane_steering(
     kp_heading: float,
     kp_lateral: float,
 ) -> float:
-    """Return the steering angle towards the centre of a lane, which may be larger than wheels can turn [rad].
+    """Return the steering angle towards the centre of a lane, even if wheels cannot turn so far [rad].
 
     Args:
         offset: offset from the lane's centre, positive to the right [m].
-        ahead: direction of the lane where the vehicle will be shortly [rad].
-        heading: heading [rad].
-        speed: the current speed [m/s].
-        length: the vehicle's length [m].
+        ahead: direction of the lane a short time ahead [rad].
+        heading, speed, length: heading [rad], speed [m/s] and length [m] of the vehicle.
         kp_heading, kp_lateral: gains [1/s].
     """
     divisor = not_zero(speed)
-    sideways = math.asin(clamped(-kp_lateral * offset / divisor, 1.0))
-    turn = (ahead + clamped(sideways, STEEPEST) - heading + math.pi) % (2.0 * math.pi) - math.pi
-    slip = math.asin(clamped(length / 2.0 / divisor * (kp_heading * turn), 1.0))
+    sideways = math.asin(clamp(-kp_lateral * offset / divisor, 1.0))
+    turn = (ahead + clamp(sideways, STEEPEST) - heading + math.pi) % (2.0 * math.pi) - math.pi
+    slip = math.asin(clamp(length / 2.0 / divisor * (kp_heading * turn), 1.0))
     return math.atan(2.0 * math.tan(slip))
 
 
 def not_zero(value: float) -> float:
-    """Return a number, or 0.01 or -0.01 if it is nearer to zero, so that it can be a divisor."""
+    """Replace a number near zero by 0.01 or -0.01, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
 
 
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
-    """Limit an acceleration so that braking ends at a standstill and not in reverse [m/s^2]."""
+    """Limit braking so that the vehicle stops at zero speed [m/s^2]."""
     return max(wanted, -speed / dt) if wanted < 0.0 else wanted
 
 
@@ -163,7 +159,6 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
 
 
 def _lane_and_value(drive: Drive, given: Any) -> tuple[int, float]:
-    """Return the lane as an int, and the given speed or acceleration as a float."""
     try:
         if isinstance(drive.lane, bool) or isinstance(given, (str, bytes)):
             raise TypeError("neither is a number")
@@ -176,7 +171,6 @@ def _lane_and_value(drive: Drive, given: Any) -> tuple[int, float]:
 
 
 def _finite(value: Any) -> float:
-    """Return a limit as a float, -1 if it is not a number."""
     number = plain_number(value)
     return -1.0 if number is None else float(number)
 
@@ -197,7 +191,7 @@ def _expected(action: Any) -> str:
 
 
 def hint_at(action: Any) -> str:
-    """Return a hint at the probable cause of an invalid action; an empty text if no cause is known."""
+    """Return a hint about the probable cause of an invalid action, or an empty string."""
     if action is None:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):

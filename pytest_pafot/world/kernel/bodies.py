@@ -1,7 +1,7 @@
-"""Vehicles as moving boxes, and the contact of two boxes: overlap, depth, and the side of the ego that was hit.
+"""Vehicles as moving boxes, and the contact of two boxes.
 
-They move by highway-env's kinematic bicycle model in plain numbers. highway-env's own check of collisions is switched
-off, because it also reports predicted contact and pushes vehicles apart.
+Vehicles move by highway-env's kinematic bicycle model. highway-env's own check of collisions is switched off, because
+it also reports predicted contact and pushes vehicles apart.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
-COLUMNS = 7
-"""The number of values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane."""
-MAX_SPEED = TOP_SPEED
-"""The highest speed, forwards and backwards [m/s]; unlike ``TOP_SPEED``, it is a C number in compiled code."""
+COLUMNS = 7  # per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+MAX_SPEED = TOP_SPEED  # forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
 
 
 class Box:
@@ -29,20 +27,13 @@ class Box:
 
 
 class Body(Box):
-    """A box with a speed, and with controls that hold until they are set again.
-
-    Attributes:
-        speed: the speed [m/s].
-        acceleration: the acceleration [m/s^2].
-        steering: the steering angle [rad].
-        lane: the index of the nearest lane, which is found after all bodies have moved, not for vehicles that cross.
-    """
+    """A box with a speed [m/s], and with controls that stay until they are set again."""
 
     def __init__(self, length: float, width: float) -> None:
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
         self.length = length
         self.width = width
-        self.lane = 0
+        self.lane = 0  # the nearest lane, found after all bodies have moved; not for vehicles that cross
 
     def place(self, x: float, y: float, heading: float, speed: float) -> None:
         """Set position, heading and speed [m, m, rad, m/s]."""
@@ -52,7 +43,7 @@ class Body(Box):
         self.speed = speed
 
     def step(self, dt: float) -> None:
-        """Do one explicit Euler step of ``dt`` seconds of highway-env's bicycle model, operation by operation."""
+        """Move for ``dt`` seconds by one explicit Euler step of highway-env's bicycle model."""
         speed = self.speed
         if speed > MAX_SPEED:
             self.acceleration = min(self.acceleration, MAX_SPEED - speed)
@@ -72,7 +63,8 @@ class Body(Box):
 
 
 def overlap(a: Box, b: Box) -> bool:
-    """Return whether two boxes share more than a border (separating axes)."""
+    """Return whether two boxes share more than an edge."""
+    # separating axes; first with these bounds of the sines, as most pairs need no trigonometry
     turn_a, turn_b = abs(a.heading), abs(b.heading)  # bounds of the sines: most pairs need no trigonometry
     if 2.0 * abs(b.x - a.x) > a.length + b.length + a.width * turn_a + b.width * turn_b:
         return False
@@ -82,14 +74,14 @@ def overlap(a: Box, b: Box) -> bool:
 
 
 def depth(a: Box, b: Box) -> float:
-    """Return the largest gap between two boxes along any of their axes [m]; negative if they overlap."""
+    """Return the largest gap between two boxes along any of their axes [m], negative if they overlap."""
     along, across = separation(a, b)
     its_along, its_across = separation(b, a)
     return max(along, across, its_along, its_across)
 
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
-    """Return the gap between two boxes along the first box's length and along its width [m]; negative for overlap."""
+    """Return the gaps along the length and the width of the first box [m], negative for an overlap."""
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
@@ -103,10 +95,8 @@ def separation(a: Box, b: Box) -> tuple[float, float]:
 
 
 def side_hit(ego_before: Box, other_before: Box) -> Side:
-    """Return the ego's side that a vehicle hit, as determined at the last tick without contact.
-
-    The boxes met along that axis of the ego, length or width, along which they were further apart at that tick.
-    """
+    """Return which side of the ego was hit, given the boxes in the last tick without contact."""
+    # The boxes met along the axis of the ego along which they were further apart before.
     along, across = separation(ego_before, other_before)
     dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y
     cos_h, sin_h = math.cos(ego_before.heading), math.sin(ego_before.heading)

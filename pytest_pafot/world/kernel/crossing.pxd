@@ -3,7 +3,7 @@ from libc cimport math
 from pytest_pafot.world.kernel.lanes cimport Track
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.director cimport BaseDirector, NetworkDirector, Npc
-from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, speed_asking_for
+from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, speed_for_braking
 
 cdef double STEP, FREEZE, SLOWEST, FASTEST
 cdef int PASS, HOLD, STOP, LATE, NEVER
@@ -64,18 +64,18 @@ cdef class JunctionDirector(BaseDirector):
 
     @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint,
                    safe=double, gained=double)
-    cdef double _wanted(self, CrossingNpc npc, Body ego) except? -1
+    cdef double _desired_speed(self, CrossingNpc npc, Body ego) except? -1
 
-    cdef double _share(self, CrossingNpc npc, Body ego) except? -1
+    cdef double _speed_factor(self, CrossingNpc npc, Body ego) except? -1
 
-    cdef double _due(self, CrossingNpc npc, Body ego) except? -1
+    cdef double _time_to_entry(self, CrossingNpc npc, Body ego) except? -1
 
-    cdef bint _answers(self, CrossingNpc npc, Body ego) except -1
+    cdef bint _reacts(self, CrossingNpc npc, Body ego) except -1
 
-    cdef double _slower(self, CrossingNpc npc) except? -1
+    cdef double _slowness(self, CrossingNpc npc) except? -1
 
     @cython.locals(npc=CrossingNpc)
-    cdef double _comes(self, Body vehicle, double place) except? -1
+    cdef double _time_to(self, Body vehicle, double place) except? -1
 
     @cython.locals(conflict=SharedPlace, theirs=Body, is_in=bint, comes=double, room=double, can_wait=bint)
     cdef double _giving_way(self, Body mine, int index, list conflicts, double wanted) except? -1

@@ -1,9 +1,8 @@
-"""The control of crossing NPCs, which drive on their own ways and are timed by the ego's arrival at their zone.
+"""The control of crossing NPCs, which have their own paths and are timed by the ego's arrival at their zone.
 
-An NPC adapts its speed to the ego's estimated arrival until some seconds before it enters its own zone. From then on it
-keeps to its plan, because an NPC that slows down with the ego would hide the ego's failures. In all other respects it
-acts like a driver: it stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives
-way to other NPCs.
+An NPC adapts its speed to the ego's estimated arrival until some seconds before it enters its zone. Then it keeps to
+its plan, because an NPC that slows down with the ego would hide the ego's failures. Otherwise it acts like a driver: it
+stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other NPCs.
 """
 
 from __future__ import annotations
@@ -20,96 +19,51 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import BaseDirector, NetworkDirector, Npc, Start
-from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, speed_asking_for
+from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, speed_for_braking
 from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
-FREEZE = 3.0
-"""The time before its entry into the zone from which an NPC no longer adapts to the ego's arrival [s]."""
+FREEZE = 3.0  # the time before it enters its zone at which an NPC stops adapting to the ego's arrival [s]
+# The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
+# NPC would wait for an ego that waits.
 SLOWEST, FASTEST = 0.5, 1.3
-"""The smallest and largest factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller
-factor, the NPC would wait for an ego that waits."""
-PASS, HOLD, STOP, LATE = range(4)
-"""The acts of an NPC at its zone, in the order of ``ACTS``."""
-MARGIN = 1.0
-"""The distance before a stretch at which an NPC waits until the ego or another NPC has left it [m]."""
-SETTING_OFF = 1.1
-"""The time that a holding vehicle needs to reach its zone [s]."""
+PASS, HOLD, STOP, LATE = range(4)  # the acts of an NPC at its zone, in the order of ACTS
+MARGIN = 1.0  # the distance before a conflict at which an NPC waits until the ego or another NPC has left it [m]
+SETTING_OFF = 1.1  # the time that a holding vehicle needs to reach its zone [s]
+# reaction time to an ego that has entered the NPC's zone [s], and hardest braking for it [m/s^2]
 RESPONSE, ANSWER = 1.0, 6.0
-"""An NPC's reaction time to an ego that has entered the NPC's zone [s], and its hardest braking for that ego [m/s^2].
-"""
+# when an NPC may have to wait: the time in which braking builds up [s], and the braking [m/s^2]
 BUILDING_UP, BRAKING = 0.4, 5.0
-"""The time in which braking builds up [s] and the braking [m/s^2] that an NPC assumes when it may have to wait."""
-LEAST_SPEED = 0.5
-"""The least speed for predictions, because a vehicle that nearly stands may go on [m/s]."""
-ABREAST = 2.0
-"""The distance from a way up to which a vehicle obstructs vehicles on that way [m]."""
+LEAST_SPEED = 0.5  # for predictions, because a vehicle that is nearly stationary may continue [m/s]
+ABREAST = 2.0  # the distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
-UNENDING, NOWHERE = math.inf, float("nan")
-"""Infinity and NaN; unlike ``math.inf`` and ``math.nan``, they are C numbers in compiled code."""
+UNENDING, NOWHERE = math.inf, float("nan")  # unlike math.inf and math.nan, these are C numbers in compiled code
 
 
 class SharedPlace:
-    """A place at which the way of an NPC meets the way of another NPC.
-
-    Attributes:
-        other: the other NPC's number among the vehicles.
-        begins, ends: the stretch of the NPC's own way [m].
-        its_begins, its_ends: the stretch of the other NPC's way [m].
-    """
+    """A conflict of an NPC's path with the path of another NPC."""
 
     def __init__(self, other: int, own: tuple[float, float], its: tuple[float, float]) -> None:
         self.other = other
-        self.begins, self.ends = own
-        self.its_begins, self.its_ends = its
+        self.begins, self.ends = own  # on the NPC's own path [m]
+        self.its_begins, self.its_ends = its  # on the other NPC's path [m]
 
 
 class LeaderAhead:
-    """A vehicle that may be ahead of an NPC in its lane.
-
-    Attributes:
-        other: the vehicle's number among the vehicles.
-        places: for each point of the vehicle's way, its place along the NPC's way [m]; NaN if it is not on that way.
-    """
+    """A vehicle that may be ahead of an NPC in its lane."""
 
     def __init__(self, other: int, places: array[float]) -> None:
         self.other = other
-        self.places = places
+        self.places = places  # its position on the NPC's path for each point of its path [m]; NaN where it is not on it
 
     def place(self, along: float) -> float:
-        """Convert the vehicle's place along its own way to the NPC's way [m]; return NaN if it is not on that way."""
+        """Convert a position along the vehicle's path to the NPC's path [m]; NaN if it is not on that path."""
         point = int(along / STEP + 0.5)
         return self.places[point] if 0 <= point < len(self.places) else NOWHERE
 
 
 class CrossingNpc(Body):
-    """A crossing NPC; x is its place along its own way, y its distance to the right, heading its angle to the way.
-
-    Args:
-        track: its way.
-        speed: the speed of its instruction [m/s].
-        speeds: the highest speed at each point of its way [m/s].
-        zone: the places at which it enters and leaves its zone [m].
-        ego_zone: the places at which the ego enters and leaves the zone, along its own way [m].
-        act: its act at the zone.
-        middle: the place at which it stops if it stops in its zone [m].
-        size: its length and width [m].
-        driver: its controller of acceleration and steering.
-
-    Attributes:
-        index: its index in the scenario.
-        slot: the slot of its instruction [s].
-        begins: its start along its way [m].
-        turning: its largest lateral acceleration at the start [m/s^2].
-        asked: the acceleration in the previous tick [m/s^2].
-        course: the direction of motion after the previous tick's steering [rad].
-        wanted: the speed of its instruction [m/s].
-        speeds, times: its speed at each point [m/s], and its time there since the first point [s].
-        entry: the planned time of entering its zone [s].
-        entered: the tick at which it entered its zone, -1 before it.
-        stands_at: the place at which it will stand for an unknown time [m]; infinite if there is none.
-        conflicts, leaders: the vehicles that may be in its way, and those that may be ahead in its lane.
-    """
+    """A crossing NPC: x is its position along its path, y its distance to the right, heading its angle to the path."""
 
     def __init__(
         self,
@@ -126,69 +80,59 @@ class CrossingNpc(Body):
         super().__init__(size[0], size[1])
         self.driver = driver
         self.index = 0
+        # slot of the instruction [s], start along the path [m], and lateral acceleration at the start [m/s^2]
         self.slot = self.begins = self.turning = 0.0
         self.track = track
-        self.enters, self.leaves = zone
-        self.ego_enters, self.ego_leaves = ego_zone
+        self.enters, self.leaves = zone  # where it enters and leaves its zone, along its path [m]
+        self.ego_enters, self.ego_leaves = ego_zone  # where the ego does, along the ego's path [m]
         self.act = act
-        self.middle = middle
-        self.wanted = speed
-        self.speeds = array("d", speeds)
-        self.times = array("d", [0.0]) * len(speeds)
+        self.middle = middle  # where it stops if it stops in its zone [m]
+        self.wanted = speed  # of its instruction [m/s]
+        self.speeds = array("d", speeds)  # planned at each point [m/s]
+        self.times = array("d", [0.0]) * len(speeds)  # from the first point to each point [s]
         self._plan()
-        self.asked = 0.0
-        self.course = 0.0
-        self.entry = UNENDING
-        self.entered = NEVER
-        self.stands_at = UNENDING
-        self.is_frozen = False
+        self.asked = 0.0  # acceleration in the previous tick [m/s^2]
+        self.course = 0.0  # direction of motion after the previous tick's steering [rad]
+        self.entry = UNENDING  # planned time of entering its zone [s]
+        self.entered = NEVER  # tick at which it entered its zone
+        self.stands_at = UNENDING  # where it will stop for an unknown time [m]
+        self.is_frozen = False  # true when it no longer adapts to the ego's arrival
         self.is_released = False
-        self.noticed = 0
+        self.noticed = 0  # number of ticks for which it has noticed an ego in its zone
         self.conflicts: list[SharedPlace] = []
         self.leaders: list[LeaderAhead] = []
 
     def _plan(self) -> None:
-        """Limit the speeds at all points to those of the instruction, and set the times there."""
         speeds, times = self.speeds, self.times
         for point in range(len(speeds)):
             most = gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
+                # mean speed over a step; the limit keeps stops finite
                 times[point] = times[point - 1] + 2.0 * STEP / max(speeds[point] + speeds[point - 1], 2e-3)
 
     def lasts(self, since: float, until: float) -> float:
-        """Return the time that the NPC needs from one place to a later place at its planned speeds [s]."""
+        """Return the time between two positions at the planned speeds [s]."""
         track = self.track
         return track.value(self.times, until) - track.value(self.times, since)
 
 
 def stopping_speed(room: float, speed: float) -> float:
-    """Return the desired speed of a vehicle that is to stop within some room [m], given its current speed [m/s]."""
+    """Return the desired speed for stopping within a distance [m], given the current speed [m/s]."""
     if room <= 0.0:
         return 0.0
-    return min(gap_speed(room), speed_asking_for(speed * speed / (2.0 * room), speed))
+    return min(gap_speed(room), speed_for_braking(speed * speed / (2.0 * room), speed))
 
 
 def can_stop(room: float, speed: float) -> bool:
-    """Return whether a vehicle at a speed [m/s] can stop within some room [m]."""
+    """Return whether a vehicle at a speed [m/s] can stop within a distance [m]."""
     return room >= BUILDING_UP * speed + speed * speed / (2.0 * BRAKING)
 
 
 class JunctionDirector(BaseDirector):
-    """The director of the NPCs of one run on a :class:`NetworkRoad` with ways of other traffic.
+    """The director of the NPCs of one run on a :class:`NetworkRoad` with paths of other traffic.
 
-    It drives the crossing NPCs. Each body has its place along its own way.
-
-    Args:
-        scenario: the scenario, with some Crossing-Instructions.
-        road: the ego's way.
-        junction: the ways of other traffic.
-        limits: the limits of every NPC.
-        grid: the director of the NPCs on the grid; None without them.
-        physics_hz: ticks per second.
-
-    Attributes:
-        npcs: one NPC for each chain; the loop updates their places after each tick.
+    It controls the crossing NPCs. ``grid`` controls the NPCs around the ego, and is None if there are none.
     """
 
     def __init__(
@@ -228,7 +172,7 @@ class JunctionDirector(BaseDirector):
 
     def _npc(self, index: int, instruction: CrossingInstruction) -> CrossingNpc:
         kind = self._scenario.vehicle_of(index)
-        way, limits = self._junction.ways[instruction.zone].of(kind, self._limits), self._limits.of(kind)
+        way, limits = self._junction.ways[instruction.zone].for_vehicle(kind, self._limits), self._limits.of(kind)
         zone = way.way.zone
         act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
         driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
@@ -241,13 +185,11 @@ class JunctionDirector(BaseDirector):
         return npc
 
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
-        """Return the places at which a vehicle's way meets others, and the vehicles that may be ahead in its lane.
-
-        Pairs of vehicles on the ego's way are left out, because the director of the grid handles them.
-        """
+        """Return the conflicts of a vehicle's path with other paths, and the vehicles that may be ahead in its lane."""
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
         mine, conflicts, leaders = names[number], [], []
         for other, theirs in enumerate(names):
+            # the director of the grid handles pairs of vehicles on the ego's path
             if other == number or mine == theirs == EGOS:
                 continue
             if other > 0:
@@ -262,7 +204,6 @@ class JunctionDirector(BaseDirector):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes that have begun as driven, and the later genes as requested."""
         if self._grid is None:
             return self._scenario
         chains = iter(self._grid.executed.npcs)
@@ -273,18 +214,15 @@ class JunctionDirector(BaseDirector):
         return self._scenario if npcs == self._scenario.npcs else replace(self._scenario, npcs=npcs)
 
     @property
-    def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
-        return self._with_crossing(() if self._grid is None else self._grid.driven)
+    def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
+        return self._with_crossing(() if self._grid is None else self._grid.driven_cells)
 
     def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
-        """Return the rows of the NPCs around the ego, with an empty one for each that crosses; empty without rows."""
         others = iter(rows)
         return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """The tick at which each NPC reached the cell of each started gene, or entered its zone; None if it has not."""
         others = iter(() if self._grid is None else self._grid.arrivals)
         return tuple(
             (npc.entered if npc.entered >= 0 else None,) if isinstance(npc, CrossingNpc) else next(others)
@@ -292,11 +230,9 @@ class JunctionDirector(BaseDirector):
         )
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """Return the cells of the first gene of NPCs on the grid, in which they start."""
         return () if self._grid is None else self._grid.first_cells()
 
     def started(self, starts: list[Start]) -> list[Start]:
-        """Return the starts of all NPCs, given those of the NPCs on the grid."""
         on_grid = iter(starts if self._grid is None else self._grid.started(starts))
         return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
 
@@ -307,14 +243,13 @@ class JunctionDirector(BaseDirector):
         return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
 
     def command(self, ego: Body) -> None:
-        """Set acceleration and steering of each NPC for the coming tick."""
         self._vehicles[0] = ego
         if self._grid is not None:
             self._grid.command(ego)
         for npc in self._crossing:
             if npc.x >= npc.enters and npc.entered == NEVER:
                 npc.entered = self._tick
-            wanted = self._wanted(npc, ego)
+            wanted = self._desired_speed(npc, ego)
             wanted = self._giving_way(npc, npc.index, npc.conflicts, wanted)
             wanted = self._following(npc, npc.leaders, wanted)
             npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
@@ -323,13 +258,11 @@ class JunctionDirector(BaseDirector):
         self._tick += 1
 
     def ceiling(self, npc: Npc) -> float:
-        """Return the highest speed at which an NPC on the grid does not drive into crossing NPCs [m/s]."""
         number = self._numbers[npc.index]
         conflicts, leaders = self._relations[number]
         return self._following(npc, leaders, self._giving_way(npc, number - 1, conflicts, UNENDING))
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether NPCs that have come onto the ego's lane leave room for an NPC on the grid to enter it."""
         if lane != self._ego_lane:
             return True
         for leader in self._relations[self._numbers[npc.index]][1]:
@@ -342,87 +275,87 @@ class JunctionDirector(BaseDirector):
                 return False
         return True
 
-    def _wanted(self, npc: CrossingNpc, ego: Body) -> float:
-        """Return the desired speed of an NPC for its instruction and the ego [m/s]."""
+    def _desired_speed(self, npc: CrossingNpc, ego: Body) -> float:
         track = npc.track
         fastest = track.value(track.speed, npc.x)
         wanted = min(npc.wanted, fastest)
         if npc.entered == NEVER and npc.act in (PASS, STOP):
             gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # until the accelerator is released
-            wanted = min(wanted * self._share(npc, ego), fastest - gained)
-        npc.stands_at = UNENDING
+            wanted = min(wanted * self._speed_factor(npc, ego), fastest - gained)
+        npc.stands_at = UNENDING  # set by its act below, if it waits
         if npc.act == STOP:
             npc.stands_at = npc.middle
         elif npc.act != PASS and not npc.is_released and npc.entered == NEVER:
             room = npc.enters - BEFORE_LINE - npc.x
             has_passed = ego.x > npc.ego_leaves
-            is_due = npc.act == LATE and self._due(npc, ego) <= SETTING_OFF
+            is_due = npc.act == LATE and self._time_to_entry(npc, ego) <= SETTING_OFF
             is_late = self._tick == 0 and room < npc.speed * npc.speed / (2.0 * ANSWER)
             npc.is_released = has_passed or is_due or is_late
             if not npc.is_released:
                 npc.stands_at = npc.enters - BEFORE_LINE
         if npc.stands_at < UNENDING:
             wanted = min(wanted, stopping_speed(npc.stands_at - npc.x, npc.speed))
-        if npc.entered == NEVER and self._answers(npc, ego):
+        # Last, it brakes for an ego that is in the zone and will stay there.
+        if npc.entered == NEVER and self._reacts(npc, ego):
             npc.stands_at = min(npc.stands_at, npc.enters - MARGIN)
             safe = stopping_speed(npc.enters - MARGIN - npc.x, npc.speed)
-            wanted = min(wanted, max(safe, speed_asking_for(ANSWER, npc.speed)))
+            wanted = min(wanted, max(safe, speed_for_braking(ANSWER, npc.speed)))
         return wanted
 
-    def _share(self, npc: CrossingNpc, ego: Body) -> float:
+    def _speed_factor(self, npc: CrossingNpc, ego: Body) -> float:
         """Return the factor by which an NPC changes its speed to enter its zone at the planned time."""
         left = npc.lasts(npc.x, npc.enters)
-        return min(max(left / max(self._due(npc, ego), 0.1), SLOWEST), FASTEST)
+        return min(max(left / max(self._time_to_entry(npc, ego), 0.1), SLOWEST), FASTEST)
 
-    def _due(self, npc: CrossingNpc, ego: Body) -> float:
-        """Return the time until an NPC is to enter its zone [s]."""
+    def _time_to_entry(self, npc: CrossingNpc, ego: Body) -> float:
+        """Return the time until an NPC should enter its zone [s]."""
         now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
             first, last = (npc.ego_enters - ego.x) / speed, (npc.ego_leaves - ego.x) / speed
             crossing = 0.0 if npc.act == STOP else npc.lasts(npc.enters, npc.leaves)
+            # A positive slot is after the ego, and a negative one before it. With 0, both are in the zone together.
             if npc.slot > 0.0:
                 due = last + npc.slot
             else:
                 due = first + npc.slot - crossing if npc.slot < 0.0 else (first + last - crossing) / 2.0
-            if npc.act != LATE:
+            if npc.act != LATE:  # a time that it can reach within SLOWEST and FASTEST
                 left = npc.lasts(npc.x, npc.enters)
                 due = min(max(due, left / FASTEST), left / SLOWEST)
             npc.entry = now + due
             npc.is_frozen = due <= FREEZE
         return npc.entry - now
 
-    def _answers(self, npc: CrossingNpc, ego: Body) -> bool:
-        """Return whether an NPC reacts to an ego that is in its zone and will still be there when the NPC arrives."""
+    def _reacts(self, npc: CrossingNpc, ego: Body) -> bool:
+        """Return whether an NPC reacts to an ego that will still be in its zone when the NPC arrives."""
         if not npc.ego_enters < ego.x < npc.ego_leaves:
             npc.noticed = 0
             return False
-        if npc.noticed == 0:
+        if npc.noticed == 0:  # no reaction to an ego that leaves in time, or if it can no longer stop
             stays = (npc.ego_leaves - ego.x) / max(ego.speed, 0.1)
-            comes = npc.lasts(npc.x, npc.enters) * self._slower(npc)
+            comes = npc.lasts(npc.x, npc.enters) * self._slowness(npc)
             room = npc.enters - npc.x - RESPONSE * npc.speed
             if stays < comes or room < npc.speed * npc.speed / (2.0 * ANSWER):
                 return False
         npc.noticed += 1
         return npc.noticed > self._response
 
-    def _slower(self, npc: CrossingNpc) -> float:
-        """Return the ratio of an NPC's planned speed at its place to its current speed."""
+    def _slowness(self, npc: CrossingNpc) -> float:
         return npc.track.value(npc.speeds, npc.x) / max(npc.speed, LEAST_SPEED)
 
-    def _comes(self, vehicle: Body, place: float) -> float:
-        """Return the time until a vehicle reaches a place of its way if it drives on as now [s]."""
+    def _time_to(self, vehicle: Body, place: float) -> float:
+        """Return the time until a vehicle reaches a point of its path at its current speed [s]."""
         if isinstance(vehicle, CrossingNpc):
             npc = vehicle
             if place > npc.stands_at:
                 return UNENDING
-            return npc.lasts(npc.x, place) * self._slower(npc)
+            return npc.lasts(npc.x, place) * self._slowness(npc)
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
-        """Limit a desired speed so that an NPC gives way at places that others reach at the same time [m/s].
+        """Limit a desired speed so that an NPC gives way where another one arrives at the same time [m/s].
 
-        If both NPCs can wait, the NPC with the higher index does. If one of them can no longer wait, the other waits.
+        If both NPCs can wait, the NPC with the higher index waits. If only one can, that one waits.
         """
         for conflict in conflicts:
             theirs = self._vehicles[conflict.other]
@@ -431,13 +364,13 @@ class JunctionDirector(BaseDirector):
             if self._is_beside(theirs) or self._is_beside(mine):
                 continue
             is_in = theirs.x >= conflict.its_begins
-            comes = 0.0 if is_in else self._comes(theirs, conflict.its_begins)
-            if comes > self._comes(mine, conflict.ends) + APART:
+            comes = 0.0 if is_in else self._time_to(theirs, conflict.its_begins)
+            if comes > self._time_to(mine, conflict.ends) + APART:  # this NPC passes first
                 continue
-            if self._comes(mine, conflict.begins) > self._comes(theirs, conflict.its_ends) + APART:
+            if self._time_to(mine, conflict.begins) > self._time_to(theirs, conflict.its_ends) + APART:
                 continue
             room = conflict.begins - MARGIN - mine.x
-            if not is_in:
+            if not is_in:  # an NPC that can no longer stop does not give way
                 can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
                 if not can_stop(room + MARGIN, mine.speed) or (can_wait and conflict.other > index + 1):
                     continue
@@ -445,11 +378,9 @@ class JunctionDirector(BaseDirector):
         return wanted
 
     def _is_beside(self, vehicle: Body) -> bool:
-        """Return whether a vehicle on the ego's road is outside the ego's lane."""
         return not isinstance(vehicle, CrossingNpc) and abs(vehicle.y - self._ego_across) > ABREAST
 
     def _following(self, mine: Body, leaders: list[LeaderAhead], wanted: float) -> float:
-        """Limit a desired speed to what leaves room behind the vehicles ahead in the lane [m/s]."""
         for leader in leaders:
             theirs = self._vehicles[leader.other]
             distance = leader.place(theirs.x) - mine.x

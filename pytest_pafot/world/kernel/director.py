@@ -1,7 +1,7 @@
 """The director, which turns the NPCs' instructions into their controls, tick by tick.
 
-The director counts the time of genes, repairs requests at the beginning of a gene (paper, section 2.1), records
-arrivals, and makes NPCs give way to each other. It works only in road coordinates.
+The director counts the time of genes, repairs requests at the start of a gene (paper, section 2.1), records arrivals,
+and makes NPCs give way to each other. It works only in road coordinates.
 """
 
 from __future__ import annotations
@@ -24,145 +24,100 @@ from pytest_pafot.world.kernel.driver import (
     following_gap,
     following_speed,
     gap_speed,
-    speed_asking_for,
+    speed_for_braking,
     stopping_room,
 )
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.limits import NpcLimits
 
+# the distance from a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half its length
 ARRIVED_LATERAL = 0.5
-"""The distance to a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half an NPC's length."""
+# the speed of an NPC that changes lanes ahead of a stationary ego, because a car cannot move sideways [m/s]
 CREEP_SPEED = 3.0
-"""The least speed of an NPC that changes lanes ahead of a standing ego, because a car cannot move sideways [m/s]."""
-BESIDE = 0.6
-"""The least room between NPCs side by side; with less, each is in the other's way [m]."""
+BESIDE = 0.6  # the smallest room between NPCs side by side [m]; with less, each obstructs the other
 NO_LANE = -1
 
 Start = tuple[float, tuple[float, float, float, float]]
-"""A vehicle's start: the place along its way [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
+"""A vehicle's position along its path [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
 
 # The following numbers are for attentive traffic. The verdicts require no more of an NPC when the ego moves in ahead of
 # it, or brakes there for nothing.
-TRACK = 0.3
-"""The sideways gap to the ego's box up to which an NPC is still directly behind or ahead of the ego [m]."""
-REACTION = 1.0
-"""The reaction time of an NPC to unexpected behaviour of the ego [s]."""
-ANSWER = 6.0
-"""The hardest braking with which an NPC reacts to unexpected behaviour of the ego [m/s^2]."""
+TRACK = 0.3  # the sideways gap to the ego's box up to which an NPC is still directly behind or ahead of the ego [m]
+REACTION = 1.0  # the reaction time of an NPC to unexpected behaviour of the ego [s]
+ANSWER = 6.0  # the hardest braking with which an NPC reacts to it [m/s^2]
+# the ego's reaction time and braking for which an NPC leaves room when it moves in ahead [s, m/s^2]
 ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
-"""The reaction time and the braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]."""
-ENTRY_GAP = 1.5
-"""The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
+ENTRY_GAP = 1.5  # the gap to an ego of equal speed at which an NPC moves in behind it [m]
 NOT_BEHIND = -1
 
 # The following numbers are for roads with bends.
-LOOK_AHEAD = 3.0
-"""The driving time [s] for which a lane must continue so that an NPC enters it; an NPC leaves a lane that ends sooner.
-"""
+LOOK_AHEAD = 3.0  # the driving time for which a lane must continue so that an NPC enters it or stays in it [s]
+# The proportion of the largest angle to a lane that an NPC uses towards its target lane. The rest is a reserve: at the
+# start and end of a bend, the lane that it leaves has a slightly different direction.
 HEADING_SHARE = 0.9
-"""The share of the largest angle to a lane that an NPC uses towards its target lane. It leaves a reserve, because at
-the beginning and end of a bend the lane that it leaves has a slightly different direction."""
+# the proportion of an NPC's lateral acceleration for following a bend while it speeds up in a lane change
 CHANGING_SHARE = 0.3
-"""The share of its lateral acceleration that an NPC may use to follow a bend while it speeds up in a lane change."""
-BETWEEN_LANES = 0.5
-"""The distance from the centre of its target lane beyond which an NPC still changes lanes [m]."""
+BETWEEN_LANES = 0.5  # the distance from the centre of its target lane above which an NPC still changes lanes [m]
 
 
 class Npc(Body):
-    """An NPC in road coordinates, and the director's state for it.
-
-    Attributes:
-        index: its index among the chains of its director; beside crossing NPCs, not that in the scenario.
-        chain: its instructions.
-        executed: the cells or lanes of the genes that have begun.
-        arrivals: for each gene that has begun, the tick at which the NPC arrived; None if it has not.
-        row, column: the row and column of the current cell.
-        target: the distance from the ego to the cell's centre along the road [m].
-        target_speed: the target speed of the current gene [m/s].
-        kept_lane: the lane that the NPC keeps until the gene ends, because it has arrived or its target lane does not
-            exist; -1 if it keeps none.
-        kept_speed: the speed in the kept lane or the shift lane [m/s].
-        shift_lane: the target lane of the current Lane-Instruction; -1 under Position-Instructions.
-        heading_for: the lane to which the NPC steered in the previous tick.
-        asked: the acceleration in the previous tick [m/s^2].
-        course: the direction of motion after the previous tick's steering [rad].
-        behind: the number of ticks for which the NPC has been directly behind the ego. It starts at the reaction time
-            if the NPC itself moved in, so that the NPC reacts at once; -1 if the NPC is not behind the ego.
-        driver: its controller.
-        limits: its limits; None until the director has set them.
-        top_speed: its highest speed [m/s].
-        half_lengths: half of the lengths of the ego and the NPC together [m].
-        longer: by how much half of its length is more than that of a car [m]; its ends swing out when it turns.
-        bends: the road with its own speeds and leans; None on a straight road.
-        lateral: on such a road, its largest lateral acceleration [m/s^2].
-    """
+    """An NPC in road coordinates, and the director's state for it."""
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
         self.driver: Any = None
         self.limits: Any = None
-        self.bends: Any = None
+        self.bends: Any = None  # the road with this NPC's speeds and leans; None on a straight road
         self.top_speed = self.half_lengths = self.longer = self.lateral = 0.0
-        self.index = index
+        self.index = index  # among its director's chains, which omit crossing NPCs
         self.chain: tuple[Any, ...] = chain
-        self.executed: list[Any] = []
-        self.arrivals: list[int | None] = []
+        self.executed: list[Any] = []  # cells or lanes of the started genes
+        self.arrivals: list[int | None] = []  # tick of arrival in each started gene; None before it
         self.row = 0
         self.column = 0
-        self.target = 0.0
+        self.target = 0.0  # distance from the ego to the cell's centre along the road [m]
         self.target_speed = 0.0
-        self.kept_lane = NO_LANE
-        self.kept_speed = 0.0
-        self.shift_lane = NO_LANE
-        self.heading_for = 0
-        self.asked = 0.0
-        self.course = 0.0
+        self.kept_lane = NO_LANE  # kept until the gene ends, because it has arrived or its target lane does not exist
+        self.kept_speed = 0.0  # in the kept lane or the shift lane [m/s]
+        self.shift_lane = NO_LANE  # target of a Lane-Instruction
+        self.heading_for = 0  # lane to which it steered in the previous tick
+        self.asked = 0.0  # acceleration in the previous tick [m/s^2]
+        self.course = 0.0  # direction of motion after the previous tick's steering [rad]
+        # Number of ticks directly behind the ego. It starts at the reaction time if the NPC moved in itself, so that it
+        # reacts immediately.
         self.behind = NOT_BEHIND
 
 
 class BaseDirector:
     """The director of the NPCs of one run on any road.
 
-    Each kind also has ``first_cells``, ``arrivals``, ``executed`` and ``driven``, for the trace of a run.
-
-    Attributes:
-        npcs: one NPC for each chain; the loop updates their places after each tick.
+    Subclasses also have ``first_cells``, ``arrivals``, ``executed`` and ``driven_cells``, for the trace of a run.
     """
 
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
 
     def started(self, starts: list[Start]) -> list[Start]:
-        """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
+        """Return the starts of all NPCs, given the starts of the NPCs around the ego."""
         return starts
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
 
     def ceiling(self, npc: Npc) -> float:
-        """Return the highest speed at which an NPC of another director does not drive into its NPCs [m/s]."""
+        """Return the highest speed at which an NPC of another director avoids this director's NPCs [m/s]."""
         raise NotImplementedError
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether its NPCs leave room for an NPC of another director to enter a lane of the ego's way."""
+        """Return whether these NPCs leave room for another director's NPC to enter a lane of the ego's path."""
         raise NotImplementedError
 
 
 class Director(BaseDirector):
-    """The director of the NPCs of one run on a straight road; subclasses are for other roads.
+    """The director of the NPCs of one run on a straight road.
 
-    Args:
-        scenario: the scenario with the NPCs' chains.
-        lanes: the road's lanes.
-        limits: the limits of every NPC.
-        speed_limit: the speed limit [m/s].
-        cells: for each lane the cells that exist around an ego in it.
-        clearance: gap between the ego and the cells ahead and behind [m].
-        ego_length: the ego's length [m].
-        physics_hz: ticks per second.
-
-    Attributes:
-        skips: true if steps on the ring skip cells that do not exist.
+    ``cells`` has the existing cells for each lane of the ego, and ``clearance`` is the gap between the ego and the
+    cells ahead and behind [m]. If ``skips`` is true, steps on the ring skip cells that do not exist.
     """
 
     def __init__(
@@ -204,6 +159,7 @@ class Director(BaseDirector):
                 before, own = kind, limits.of(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
+                # half of both lengths together, and how much half of the NPC's length exceeds half of a car's [m]
                 half_lengths, longer = (ego_length + npc.length) / 2.0, max(npc.length - CAR.length, 0.0) / 2.0
                 self._row = max(self._row, half_lengths)
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
@@ -215,7 +171,7 @@ class Director(BaseDirector):
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._easing = -speed_asking_for(traffic.braking, 0.0)  # largest decrease of the desired speed [m/s]
+        self._easing = -speed_for_braking(traffic.braking, 0.0)  # largest decrease of the desired speed [m/s]
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
         self._kept = self._reaction + 1  # ticks; two speeds are needed for the ego's braking
@@ -227,7 +183,7 @@ class Director(BaseDirector):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes that have begun as driven, and the later genes as requested."""
+        """The scenario with the started genes as executed, and the later genes as requested."""
         scenario: Scenario = self._scenario
         on_grid, in_lanes = (
             [(done, gene) for npc in npcs for done, gene in zip(npc.executed, npc.chain, strict=False)]
@@ -238,24 +194,24 @@ class Director(BaseDirector):
         return scenario.rechained(with_targets(scenario.npcs, [npc.executed for npc in self.npcs]))
 
     @property
-    def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
+    def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
+        """The cell that each NPC reached in each started gene, or empty if ``executed`` expresses it."""
         return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """The tick at which each NPC reached the cell of each started gene; None if it has not."""
+        """The tick at which each NPC reached the cell of each started gene, or None if it has not."""
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """Return the cells in which the NPCs start; for NPCs on the grid, those of the first gene as executed."""
+        """Return the cells in which the NPCs start, after invalid cells were replaced."""
         existing = self._first_existing()
+        # NPCs on the grid come first; the other NPCs get the cells that are left.
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
         on_grid, free = iter(held), iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
 
     def command(self, ego: Body) -> None:
-        """Set acceleration and steering of each NPC for the coming tick."""
         if self._left == 0:
             self._left = self._gene_ticks
             if self._gene < self._genes:
@@ -280,9 +236,9 @@ class Director(BaseDirector):
         return False
 
     def _remember(self, ego: Body) -> None:
-        """Store the ego's place and speed for late reactions; before the first tick, assume its start speed."""
+        """Store the ego's position and speed for late reactions."""
         seen = self._seen
-        if self._tick == 0:
+        if self._tick == 0:  # before the first tick, the ego is assumed to have driven at its start speed
             for place in range(1, self._kept):
                 driven = (self._kept - place) * self._delay / self._reaction * ego.speed
                 seen[2 * place] = ego.x - driven / self._stretch(ego)
@@ -308,7 +264,7 @@ class Director(BaseDirector):
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
-        for npc in self._in_lanes:
+        for npc in self._in_lanes:  # a Lane-Instruction to a lane that does not exist keeps the lane
             if gene < len(npc.chain):
                 instruction = npc.chain[gene]
                 wanted_lane = npc.lane + instruction.column
@@ -320,15 +276,12 @@ class Director(BaseDirector):
                 npc.kept_lane = NO_LANE
 
     def _has_lane(self, npc: Npc, lane: int) -> bool:
-        """Return whether a lane exists next to an NPC."""
         return 0 <= lane <= self._last_lane
 
     def _first_existing(self) -> frozenset[Cell]:
-        """Return the cells in which an NPC may start."""
         return self._cells[self._scenario.ego_lane]
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
-        """Return the cells that exist around the ego now."""
         return self._cells[ego.lane]
 
     def _repaired(
@@ -338,7 +291,7 @@ class Director(BaseDirector):
         return repair_gene(before, wanted, existing, coins, skipping=self.skips)
 
     def _control(self, npc: Npc, ego: Body) -> None:
-        """Set acceleration and steering of one NPC for the coming tick."""
+        # Arrivals first: they decide which lane and speed are desired in this tick.
         target = self._target(npc, ego) if self._attentive else npc.target
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
@@ -365,26 +318,23 @@ class Director(BaseDirector):
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:
-        """Return the place of an attentive NPC's cell along the road, from the ego [m].
-
-        In the ego's lane, this is the place at which it follows the ego at its speed, or may move in ahead of it.
-        """
+        """Return the position of an attentive NPC's cell along the road, relative to the ego [m]."""
         if npc.row == 0 or npc.column != 0:
             return npc.target
-        if npc.row < 0:
+        if npc.row < 0:  # in the ego's lane, it follows the ego, or may move in ahead of it
             return -(npc.half_lengths + max(self._clearance, following_gap(ego.speed)))
         return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
-        """Return the gap that this traffic requires for moving in ahead of an ego of the same speed [m]."""
+        """Return the gap that this traffic requires for moving in ahead of an ego at the same speed [m]."""
         return max(self._least_gap, self._time_gap * ego.speed)
 
     def _stretch(self, body: Body) -> float:
-        """Return the metres that a vehicle drives per metre along the road, which is 1 on a straight road."""
+        """Return the metres that a vehicle drives per metre along the road."""
         return 1.0
 
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
-        """Limit a desired speed to the traffic's style, and to what leaves room behind the ego [m/s]."""
+        """Limit a desired speed to the traffic's style, and leave room behind the ego [m/s]."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
         is_behind = npc.x < ego.x and (
@@ -401,6 +351,7 @@ class Director(BaseDirector):
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
+        # An ego that brakes behind another NPC is expected, so the NPC sees it now. Otherwise it reacts late.
         is_led = self._is_led(ego)
         x, ego_speed = ego.x, ego.speed
         ahead = 0.0  # expected distance that the ego has driven since then, if it brakes on as it did [m]
@@ -416,11 +367,10 @@ class Director(BaseDirector):
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
         safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as standing
         if not is_led:
-            safe = max(safe, speed_asking_for(ANSWER, npc.speed))
+            safe = max(safe, speed_for_braking(ANSWER, npc.speed))
         return min(speed, safe)
 
     def _may_enter(self, npc: Npc, ego: Body) -> bool:
-        """Return whether there is room for an NPC in the ego's lane, ahead of the ego or behind it."""
         gap = abs(npc.x - ego.x) * self._stretch(ego) - npc.half_lengths
         if npc.x > ego.x:
             # An NPC in lanes brakes to its target speed while it moves in; one on the grid first reaches its cell.
@@ -430,16 +380,11 @@ class Director(BaseDirector):
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
 
     def _creeping(self, npc: Npc, goal: int, speed: float) -> float:
-        """Raise a desired speed to what a lane change ahead of a standing ego needs [m/s]."""
         if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
             return max(speed, CREEP_SPEED)
         return speed
 
     def _keep_lane_if_due(self, npc: Npc, target_lane: int, distance: float) -> None:
-        """Keep the lane until the gene ends if the NPC has arrived, or if its target lane does not exist.
-
-        ``distance`` is the distance to the cell's centre along the road [m].
-        """
         if not 0 <= target_lane <= self._last_lane:
             npc.kept_lane = npc.lane
             npc.kept_speed = npc.target_speed
@@ -451,13 +396,12 @@ class Director(BaseDirector):
             npc.arrivals[-1] = self._tick
 
     def _keep_shift_lane_if_there(self, npc: Npc, centre: float) -> None:
-        """Keep the target lane of a Lane-Instruction if the NPC has arrived; the lane's centre is at ``centre`` [m]."""
         if abs(npc.y - centre) <= ARRIVED_LATERAL:
             npc.kept_lane = npc.shift_lane
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the lane to steer to: one step towards the target lane, if no vehicle is in the way."""
+        """Return the lane to steer to: one step towards the target lane if no vehicle obstructs it."""
         lane = npc.lane
         if lane == target_lane:
             return lane
@@ -465,7 +409,7 @@ class Director(BaseDirector):
         beside_ego = abs(npc.x - ego.x) < npc.half_lengths + self._clearance / 2.0
         if step == ego.lane and (beside_ego or (self._attentive and not self._may_enter(npc, ego))):
             return lane  # an NPC cuts in ahead or behind; it does not steer into the ego's side
-        for other in self.npcs:
+        for other in self.npcs:  # one step at a time, and only into a lane with room
             if other is not npc and not self._clear_of(npc, other, step):
                 return lane
         return step
@@ -483,16 +427,15 @@ class Director(BaseDirector):
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
     def _gap(self, front: Npc, rear: Npc) -> float:
-        """Return the gap between two NPCs in one lane [m]."""
         return front.x - rear.x - (front.length + rear.length) / 2.0
 
     def _following(self, mine: Npc, speed: float) -> float:
-        """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
         lane, goal = mine.lane, mine.heading_for
         for theirs in self.npcs:
             distance = theirs.x - mine.x
             if distance < 0.0 or distance >= self._far or theirs is mine:
                 continue
+            # of two at the same position, the one with the higher index follows
             if distance == 0.0 and theirs.index > mine.index:
                 continue
             aside = self._aside
@@ -515,14 +458,9 @@ class Director(BaseDirector):
 class NetworkDirector(Director):
     """The director of the NPCs of one run on a :class:`NetworkRoad`.
 
-    It differs from the director of a straight road: NPCs enter only a lane that continues, and leave it before it ends.
-    Bends and ends ahead limit the speed. Steering follows the lane. An NPC behind the ego without a lane to pass in
-    follows it. Steps on the ring skip cells that do not exist. Bodies have their nominal position across the road, and
-    their heading relative to the ego's way; an NPC's course is a direction in the world.
-    NPCs may start in the ``start_cells``; all other arguments are as for :class:`Director`.
-
-    Attributes:
-        others: the director of the NPCs that drive on their own ways; None if there are none.
+    NPCs enter only a lane that continues, and leave it before it ends. An NPC that cannot pass the ego in another lane
+    follows it. Bodies have a nominal lateral position, and a heading relative to the ego's path. The course of
+    an NPC is a direction in the world. ``others`` directs the NPCs on their own paths, or is None.
     """
 
     def __init__(
@@ -545,16 +483,11 @@ class NetworkDirector(Director):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario as driven, if chains can express it; else as requested.
-
-        A chain steps only between neighbouring cells and cannot express skipped cells. If cells were skipped, this is
-        the requested scenario, which also gives the same run again.
-        """
-        return self._scenario if self.driven else super().executed
+        # Chains step only between neighbouring cells, so they cannot express skipped ones.
+        return self._scenario if self.driven_cells else super().executed
 
     @property
-    def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """The cell that each NPC drove to in each started gene if cells were skipped; else empty."""
+    def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
         cells = [tuple(npc.executed) for npc in self._on_grid]
         written = super().executed
         is_written = all(
@@ -576,13 +509,11 @@ class NetworkDirector(Director):
         return existing
 
     def _stretch(self, body: Body) -> float:
-        """Return how many metres a vehicle drives in its lane per metre of the way."""
         return self._bends.stretch(body.x, self._bends.across_at(body.lane, body.x))
 
     def _gap(self, front: Npc, rear: Npc) -> float:
-        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
         distance = front.x - rear.x
-        distance *= min(self._stretch(front), self._stretch(rear))
+        distance *= min(self._stretch(front), self._stretch(rear))  # in a bend, the shorter side counts
         return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
@@ -593,8 +524,7 @@ class NetworkDirector(Director):
         self._move(npc, goal, self._following(npc, wanted))
 
     def _move(self, npc: Npc, goal: int, wanted: float) -> None:
-        """Set the controls of an NPC for a lane and a speed [m/s]; ways of others, bends and ends limit the speed."""
-        if self.others is not None:
+        if self.others is not None:  # paths of other traffic, bends and ends ahead limit the speed
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
         gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
@@ -608,11 +538,10 @@ class NetworkDirector(Director):
         self._steer(npc, goal)
 
     def _sharpest(self, npc: Npc, goal: int) -> float:
-        """Return the largest curvature of a lane that an NPC meets during a lane change [1/m]."""
         return self._bends.sharpest_at(goal, npc.x)
 
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
-        """Return the lane to steer to, and the speed for the instruction [m/s]."""
+        """Return the lane to steer to, and the desired speed for the instruction [m/s]."""
         target_lane = ego.lane + npc.column
         stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
         along = self._target(npc, ego) if self._attentive else npc.target
@@ -624,6 +553,7 @@ class NetworkDirector(Director):
         elif npc.kept_lane < 0:
             exists = self._bends.exists(target_lane, target)
             self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
+        # With a lane, the speed is that of the instruction; with a cell, it follows the ego.
         if npc.kept_lane >= 0 or shift >= 0:
             return self._next_lane(npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
@@ -637,10 +567,11 @@ class NetworkDirector(Director):
         return goal, wanted
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the next lane towards the target if that lane continues; a neighbour if the NPC's own lane ends."""
+        """Return the next lane towards the target if it continues, or a neighbour if the NPC's own lane ends."""
         wanted = self._step(npc, target_lane, ego)
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted
+        # Its own lane ends: it prefers the neighbour that is nearer to the ego's lane.
         side, other = npc.lane - 1, npc.lane + 1
         if abs(other - ego.lane) < abs(side - ego.lane):
             side, other = other, side
@@ -655,13 +586,13 @@ class NetworkDirector(Director):
         return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
-        """Return whether a lane exists from an NPC's rear to its place :data:`LOOK_AHEAD` seconds later."""
         rear, later = npc.x - npc.length, npc.x + npc.length + LOOK_AHEAD * npc.speed
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
         bends, driver = npc.bends, npc.driver
         direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
+        # where it is after the coming tick, for the change of direction in it
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
         later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(

@@ -8,11 +8,11 @@ cdef double CAR_LENGTH, LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN,
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
 cpdef double following_gap(double speed) except? -1
-cpdef double speed_asking_for(double braking, double speed) except? -1
+cpdef double speed_for_braking(double braking, double speed) except? -1
 cpdef double stopping_room(double top_speed) except? -1
 cpdef bint clear_to_enter(double gap, double closing_speed) except -1
 cpdef double closing_room(double gap, double closing_speed) except? -1
-cpdef double clamped(double value, double bound) except? -1
+cpdef double clamp(double value, double bound) except? -1
 
 @cython.final
 cdef class NpcDriver:

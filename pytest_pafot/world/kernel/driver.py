@@ -1,7 +1,7 @@
 """The control of NPCs, and the steering for a :class:`pytest_pafot.Drive`: cascaded control under hard limits.
 
-The paper moves NPCs "based on a PID controller" (section 2.1) and states no gains. The gains here let a lane change at
-motorway speed take two seconds without overshoot.
+The paper moves NPCs "based on a PID controller" (section 2.1) and states no gains. With these gains, a lane change at
+motorway speed takes two seconds without overshoot.
 """
 
 from __future__ import annotations
@@ -11,123 +11,97 @@ import math
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.limits import NpcLimits
 
-SPEED_GAIN = 1.5
-"""The acceleration per difference to the desired speed [1/s]."""
-GAP_GAIN = 0.7
-"""The speed relative to the ego, per metre of distance to the cell's centre [1/s]."""
-GAP_BRAKING = 2.5
-"""The deceleration with which an NPC plans to stop relative to the ego at a far cell, without overshoot [m/s^2]."""
-LATERAL_GAIN = 1.4
-"""The lateral speed per metre of distance to the lane's centre [1/s]."""
+SPEED_GAIN = 1.5  # acceleration per difference to the desired speed [1/s]
+GAP_GAIN = 0.7  # speed relative to the ego, per metre of distance to the cell's centre [1/s]
+GAP_BRAKING = 2.5  # planned deceleration for stopping relative to the ego at a far cell without overshoot [m/s^2]
+LATERAL_GAIN = 1.4  # lateral speed per metre of distance to the lane's centre [1/s]
+# turning rate per difference to the desired heading [1/s]; lower if ticks are too long for a stable control
 HEADING_GAIN = 5.0
-"""The turning rate per difference to the desired heading [1/s]; it is lower if ticks are too long for a stable control.
-"""
+# proportion of the lateral acceleration planned for the end of a lane change; the rest is for control
 LATERAL_SHARE = 0.7
-"""The share of the lateral acceleration planned for the end of a lane change; the rest is reserved for control."""
+# proportion of the lateral acceleration for speeding up at an angle to the lane; the rest straightens the vehicle
 TURNED_SHARE = 0.65
-"""The share of the lateral acceleration that speeding up at an angle to the lane may use; the rest straightens the
-vehicle."""
+# proportion of a lateral limit that is used, so that rounding and changes of speed do not exceed the limit
 MARGIN = 0.97
-"""The share of a lateral limit that the control uses, so that rounding and changes of speed do not exceed the limit."""
-FOLLOWING_GAP = 2.0
-"""The gap that an NPC keeps to a standing vehicle ahead [m]."""
-FOLLOWING_TIME = 0.4
-"""The time in which braking builds up [s]."""
-FOLLOWING_BRAKING = 5.0
-"""The braking that an NPC assumes for its leader and for itself [m/s^2]."""
-CAR_LENGTH = CAR.length
-"""The length of a car [m]; unlike ``CAR.length``, it is a C number in compiled code."""
-MAX_SLIP = 0.4
-"""The largest slip angle, to which the wheels' steering is limited [rad]."""
-LEAST_SPARE = 0.15
-"""The share of the lateral acceleration that a lane change may always use, even in a sharp bend."""
+FOLLOWING_GAP = 2.0  # gap to a stationary vehicle ahead [m]
+FOLLOWING_TIME = 0.4  # time in which braking builds up [s]
+FOLLOWING_BRAKING = 5.0  # braking that an NPC assumes for its leader and for itself [m/s^2]
+CAR_LENGTH = CAR.length  # [m]; unlike CAR.length, it is a C number in compiled code
+MAX_SLIP = 0.4  # largest slip angle, which limits the steering of the wheels [rad]
+LEAST_SPARE = 0.15  # proportion of the lateral acceleration that a lane change may always use, even in a sharp bend
 
 # The following numbers are for a Drive, which also limits lateral jerk. They were found by trial: with them, no lane
 # change overshoots at any speed, frequency or limit. Larger ones save at most a tenth of the time, but overshoot by up
 # to 0.2 m.
 LANE_ANGLE = 0.5
-"""The largest angle to the lane that a :class:`Drive` steers for, which is the default limit of NPCs [rad]."""
+"""The largest angle to the lane during a lane change of a :class:`Drive`: the default limit of NPCs [rad]."""
+# proportion of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan
 TRACKING_SHARE = 0.4
-"""The share of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan."""
-TRACKING_GAIN = 4.0
-"""The lateral acceleration per error of the lateral speed [1/s]; it is at most 0.5 / dt, to be stable."""
-CLOSEST_GAIN = 3.0
-"""The highest planned lateral speed per distance to the lane's centre [1/s]."""
-SPEEDING_UP = 6.0
-"""The acceleration along the road that is possible during a lane change: the highest of an ego [m/s^2]."""
+TRACKING_GAIN = 4.0  # lateral acceleration per error of the lateral speed [1/s]; at most 0.5 / dt, to be stable
+CLOSEST_GAIN = 3.0  # highest planned lateral speed per distance to the lane's centre [1/s]
+SPEEDING_UP = 6.0  # possible acceleration along the road during a lane change: the highest of an ego [m/s^2]
+# A length that limits the planned lateral acceleration to cbrt(length * jerk^2) [m]. A higher acceleration would take
+# so long to build up that the lane change became slower. The length was found by trial on lanes of 4 m.
 USEFUL_WIDTH = 2.5
-"""A length that limits the planned lateral acceleration to cbrt(length * jerk^2) [m]. A higher acceleration would take
-so long to build up that the lane change became slower. The length was found by trial on lanes of 4 m."""
-HALF_TURN = math.pi
-"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
+HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 def gap_speed(distance: float) -> float:
-    """Return the speed relative to the ego that closes a distance to a cell without overshoot [m/s]."""
+    """Return the speed relative to the ego for closing a distance to a cell without overshoot [m/s]."""
     magnitude = min(GAP_GAIN * abs(distance), math.sqrt(2.0 * GAP_BRAKING * abs(distance)))
     return math.copysign(magnitude, distance)
 
 
 def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
-    """Return the highest speed that leaves room to stop behind a leader that brakes [m/s].
+    """Return the highest speed that leaves room to stop behind a braking leader [m/s].
 
-    Args:
-        gap: the gap from bumper to bumper [m].
-        leader_speed, own_speed: the current speeds [m/s].
+    ``gap`` is from bumper to bumper [m].
     """
     room = gap - FOLLOWING_GAP - FOLLOWING_TIME * own_speed
     return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
 
 
 def following_gap(speed: float) -> float:
-    """Return the gap that an NPC keeps behind a leader of the same speed [m]."""
+    """Return the gap that an NPC keeps behind a leader at the same speed [m]."""
     return FOLLOWING_GAP + FOLLOWING_TIME * speed
 
 
-def speed_asking_for(braking: float, speed: float) -> float:
-    """Return the desired speed that makes an NPC at its current ``speed`` brake with a given deceleration [m/s]."""
+def speed_for_braking(braking: float, speed: float) -> float:
+    """Return the desired speed that makes an NPC brake with a given deceleration [m/s]."""
     return speed - braking / SPEED_GAIN
 
 
 def stopping_room(top_speed: float) -> float:
-    """Return the least gap behind a standing leader at which :func:`following_speed` allows the top speed [m]."""
+    """Return the smallest gap behind a stationary leader at which an NPC may drive at its top speed [m]."""
     return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
 
 
 def clear_to_enter(gap: float, closing_speed: float) -> bool:
     """Return whether an NPC may enter a lane in front of or behind another NPC.
 
-    Args:
-        gap: the gap from bumper to bumper [m]; negative if they overlap.
-        closing_speed: the rear NPC's speed minus the front NPC's [m/s].
+    The closing speed is the rear NPC's speed minus the front NPC's [m/s].
     """
     return gap > closing_room(3.0, closing_speed)
 
 
 def closing_room(gap: float, closing_speed: float) -> float:
-    """Return the gap that suffices to lose a closing speed without hard braking; at equal speeds it is ``gap`` [m]."""
+    """Return the gap in which a vehicle can lose a closing speed without hard braking [m].
+
+    At equal speeds it is ``gap``.
+    """
     closing = max(closing_speed, 0.0)
     return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
 
 
-def clamped(value: float, bound: float) -> float:
-    """Return a number limited to [-bound, bound]."""
+def clamp(value: float, bound: float) -> float:
+    """Limit a number to [-bound, bound]."""
     return bound if value > bound else -bound if value < -bound else value
 
 
 class NpcDriver:
-    """The controller of acceleration and steering for every NPC of a run.
+    """The controller of acceleration and steering of an NPC.
 
-    Args:
-        limits: the limits of every NPC.
-        top_speed: the highest speed [m/s].
-        length: the length of an NPC [m].
-        dt: physics tick [s].
-        lateral_speed: the highest speed across the road [m/s].
-
-    Attributes:
-        course: the direction of motion after the last steering, relative to the lane [rad].
-        top_speed: the highest speed [m/s].
+    ``course`` is the direction of motion after the last steering, relative to the lane [rad].
     """
 
     def __init__(
@@ -154,18 +128,15 @@ class NpcDriver:
         self.course = 0.0
 
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
-        """Return the acceleration towards a speed, as near to the desired acceleration as all limits allow [m/s^2].
-
-        Near the top speed, the acceleration stays so low that the accelerator can still be released in time under the
-        limit of jerk. Accelerations ``a, a - j dt, a - 2 j dt, ...`` add at most ``(a + j dt / 2)^2 / (2 j)`` to the
-        speed. So a limit that holds at one tick also holds at the next.
-        """
+        """Return the acceleration towards a speed, within all limits [m/s^2]."""
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
         lowest = lowest if lowest > -self._braking else -self._braking  # max() is slow interpreted
         acceleration = lowest if acceleration < lowest else acceleration
         acceleration = highest if acceleration > highest else acceleration
+        # Near the top speed, the acceleration stays so low that the accelerator can still be released in time under the
+        # limit of jerk. See _released.
         if acceleration > 0.0:
             return self._released(acceleration, speed)
         if speed + acceleration * self._dt < 0.0:
@@ -175,8 +146,9 @@ class NpcDriver:
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
-        """Limit an acceleration to what the NPC's limit and the top speed allow [m/s^2]."""
         release = 0.0
+        # Accelerations a, a - j dt, a - 2 j dt, ... add at most (a + j dt / 2)^2 / (2 j) to the speed. So a limit that
+        # applies at one tick also applies at the next.
         if speed < self.top_speed:
             release = math.sqrt(self._jerk_twice * (self.top_speed - speed)) - self._jerk_step / 2.0
             release = max(release, 0.0)
@@ -186,14 +158,8 @@ class NpcDriver:
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
         """Return the steering angle towards the centre of a lane, for highway-env's bicycle model [rad].
 
-        The cascade controls the lateral position, the heading and the turning rate. Neither the course (heading plus
-        slip) nor the heading turns faster than the lateral acceleration allows.
-
-        Args:
-            offset: offset from the lane's centre, positive to the right [m].
-            heading: heading relative to the lane [rad].
-            course: direction of motion in the previous tick, relative to the lane [rad].
-            speed: the current speed [m/s].
+        ``offset`` is positive to the right of the lane's centre [m]. ``heading`` and ``course``, the direction of
+        motion in the previous tick, are relative to the lane [rad].
         """
         if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
             self.course = heading
@@ -203,82 +169,64 @@ class NpcDriver:
     def steering_in_bend(
         self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
     ) -> float:
-        """Return the steering angle towards the centre of a bent lane, for highway-env's bicycle model [rad].
-
-        In a bend, the lean reduces the largest angle that the course may have to the lane. The reason: steering back
-        takes longer in a bend, because following the lane already uses some lateral acceleration. Meanwhile the heading
-        approaches the course, and must not exceed its own limit.
+        """Return the steering angle towards the centre of a curved lane [rad].
 
         Args:
-            offset, heading, course, speed: as for :meth:`steering`; angles are relative to the lane's direction here.
-            lean: angle to the lane of a vehicle that follows it exactly [rad]. In a bend, a car's heading is turned
-                inwards less than its course.
-            turn: the change of heading in the coming tick of a vehicle that follows the lane exactly [rad].
-            sharpest: largest curvature of the lane from here to the end of a possible lane change [1/m].
+            offset, heading, course, speed: as for :meth:`steering`.
+            lean: angle to the lane of a vehicle that follows it exactly [rad].
+            turn: change of heading of such a vehicle in the coming tick [rad].
+            sharpest: largest curvature of the lane until the end of a possible lane change [1/m].
         """
         self.course = heading
         if speed < self._slow:
             return 0.0  # slow enough to straighten the wheels at once
         distance = abs(offset)
         aside = heading - lean
+        # Following the lane already uses some lateral acceleration, so steering back takes longer in a bend.
         spare = self._lateral_limit - sharpest * speed * speed
         planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
+        # The heading approaches the course later, and must not exceed its own limit: the lean reduces the angle.
         bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
         bound = max(min(bound, self._swing), 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
         wanted = math.copysign(min(wanted, bound), -offset)
-        fastest = self._lateral_limit / speed
-        rate = clamped(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
-        slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
+        fastest = self._lateral_limit / speed  # Neither the heading nor the course may turn faster than this.
+        rate = clamp(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
+        slip = math.asin(clamp(rate * self._half_length / speed, MAX_SLIP))
         most = max(self._most - abs(lean), 0.0)
         if self._lateral_speed < speed:  # at a constant angle, speeding up adds lateral speed
             most = min(most, math.asin(self._lateral_speed / speed))
-        new_course = clamped(heading + slip, most)
-        new_course = course + clamped(new_course - course, fastest * self._dt)
-        slip = clamped(new_course - heading, MAX_SLIP)
+        new_course = clamp(heading + slip, most)
+        new_course = course + clamp(new_course - course, fastest * self._dt)
+        slip = clamp(new_course - heading, MAX_SLIP)
         self.course = heading + slip
         return math.atan(2.0 * math.tan(slip))
 
 
 class LaneTracker:
-    """A controller that steers a car along lanes and between them, under limits of lateral acceleration and jerk.
-
-    It plans a lateral speed from which the car can still stop at the lane's centre, and turns the course (heading plus
-    slip) towards that plan. The heading follows the course as a bicycle's does, and turns no faster than the course.
-
-    Args:
-        length: the length of the car [m].
-        dt: physics tick [s].
-    """
+    """A controller that steers a car along and between lanes, under limits of lateral acceleration and jerk."""
 
     def __init__(self, length: float, dt: float) -> None:
         self._dt = dt
         self._half_length = length / 2.0
         self._tightest = 2.0 * math.sin(MAX_SLIP) / length  # curvature of the tightest turn [1/m]
         self._gain = min(TRACKING_GAIN, 0.5 / dt)
-        self._course = self._acceleration = self._angle = 0.0
+        self._course = self._acceleration = self._angle = 0.0  # course is heading plus slip
 
     def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
-        """Take over a car with a heading, steering angle and speed [rad, rad, m/s].
-
-        ``most`` limits the initial lateral acceleration [m/s^2].
-        """
+        """Start with a car's heading, steering angle and speed [rad, rad, m/s]."""
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
         self._course = heading + slip - rate * self._dt
-        self._acceleration = clamped(speed * rate, most)  # a sharper turn ends at once; it led off the road
+        self._acceleration = clamp(speed * rate, most)  # a sharper turn ends at once; it led off the road
         self._angle = angle
 
     def steering(self, offset: float, heading: float, speed: float, most: float, jerk: float) -> float:
         """Return the steering angle for the coming tick, for highway-env's bicycle model [rad].
 
-        Args:
-            offset: offset from the lane's centre, positive to the right [m].
-            heading: heading relative to the lane [rad].
-            speed: the current speed [m/s].
-            most, jerk: limits of lateral acceleration [m/s^2] and jerk [m/s^3].
+        ``most`` and ``jerk`` limit lateral acceleration [m/s^2] and jerk [m/s^3].
         """
         if speed < 0.01:
             self._acceleration = 0.0
@@ -287,6 +235,7 @@ class LaneTracker:
         # The heading follows the course within half the car's length. Speeding up meanwhile makes the turn sharper.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
         limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
+        # A lateral speed from which the car can still stop at the lane's centre; the course turns towards it.
         planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
         # The distance to stop from a lateral speed v is v^2 / 2a, plus v a / 2j for building up the braking a.
         ramp = max(planned * planned / (2.0 * LATERAL_SHARE * step), planned / CLOSEST_GAIN)
@@ -296,17 +245,16 @@ class LaneTracker:
             lateral_speed, slope = speed * math.sin(LANE_ANGLE), 0.0
         missing = speed * _turn(math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course)
         wanted = self._towards(missing, TRACKING_SHARE * step) - slope * speed * math.sin(self._course)
-        change = clamped(clamped(wanted, limit) - self._acceleration, step * self._dt)
-        self._acceleration = clamped(self._acceleration + change, turning)
+        change = clamp(clamp(wanted, limit) - self._acceleration, step * self._dt)
+        self._acceleration = clamp(self._acceleration + change, turning)
         self._course += self._acceleration / speed * self._dt
         # If the heading would pass the course in this tick, it is turned exactly to the course.
         reach = max(speed * self._dt / self._half_length, 1.0)
-        slip = clamped(_turn(self._course - heading) / reach, MAX_SLIP)
+        slip = clamp(_turn(self._course - heading) / reach, MAX_SLIP)
         self._angle = math.atan(2.0 * math.tan(slip))
         return self._angle
 
     def _towards(self, missing: float, jerk: float) -> float:
-        """Return the acceleration that gains a missing speed under a limit of jerk, without overshoot."""
         size = abs(missing)
         if size * self._gain * self._gain <= jerk:
             return self._gain * missing
@@ -314,5 +262,4 @@ class LaneTracker:
 
 
 def _turn(angle: float) -> float:
-    """Return an angle wrapped to [-pi, pi) [rad]."""
     return (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN

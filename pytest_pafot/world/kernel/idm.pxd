@@ -4,7 +4,7 @@ from pytest_pafot.world.kernel.action cimport lane_steering, not_zero
 from pytest_pafot.world.kernel.lanes cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.crossing cimport CrossingNpc
-from pytest_pafot.world.kernel.driver cimport clamped
+from pytest_pafot.world.kernel.driver cimport clamp
 from pytest_pafot.world.kernel.lane_network cimport Network
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.places cimport Places
@@ -28,7 +28,7 @@ cdef class GoalVehicle(Body):
 
     cpdef void step(self, double dt) except *
 
-    cdef int _found(self, Body vehicle) except -1
+    cdef int _find_lane(self, Body vehicle) except -1
 
     cdef _follow_road(self)
 
@@ -45,11 +45,11 @@ cdef class GoalVehicle(Body):
     @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body)
     cdef bint _gains(self, int lane, list others) except -1
 
-    cdef double _pulled(self, Body vehicle, Body front) except? -1
+    cdef double _idm(self, Body vehicle, Body front) except? -1
 
-    cdef double _apart(self, Body vehicle, Body front) except? -1
+    cdef double _distance_to(self, Body vehicle, Body front) except? -1
 
-    cdef double _limit(self, Body vehicle) except? -1
+    cdef double _speed_limit_of(self, Body vehicle) except? -1
 
     cdef double _desired_gap(self, Body vehicle, Body front) except? -1
 
@@ -72,7 +72,7 @@ cdef class NetworkVehicle(GoalVehicle):
     cdef object _following, _route
     cdef list _searched
 
-    cdef int _found(self, Body vehicle) except -1
+    cdef int _find_lane(self, Body vehicle) except -1
 
     cdef _follow_road(self)
 
@@ -82,12 +82,12 @@ cdef class NetworkVehicle(GoalVehicle):
 
     cdef bint _is_demanded(self, int lane) except -1
 
-    cdef double _pulled(self, Body vehicle, Body front) except? -1
+    cdef double _idm(self, Body vehicle, Body front) except? -1
 
     @cython.locals(network=Network)
-    cdef double _apart(self, Body vehicle, Body front) except? -1
+    cdef double _distance_to(self, Body vehicle, Body front) except? -1
 
-    cdef double _limit(self, Body vehicle) except? -1
+    cdef double _speed_limit_of(self, Body vehicle) except? -1
 
     cdef int _lane_of(self, Body vehicle) except -1
 

@@ -1,12 +1,12 @@
-"""highway-env's vehicles with a goal, operation by operation; some find it by Intelligent Driver Model and MOBIL.
+"""highway-env's vehicles with a goal, which some of them choose with the Intelligent Driver Model (IDM) and MOBIL.
 
-:class:`GoalVehicle` is highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on a straight road,
-:class:`NetworkVehicle` the same on any road, and :class:`EgosRoadRules` says when it has to yield on a regulated one.
+:class:`GoalVehicle` is highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on a straight road, and
+:class:`NetworkVehicle` on any road. The equations are highway-env's, operation by operation. NPCs are not IDM vehicles,
+so the model takes their current speed as their desired speed.
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
-Transportation Research Record 1999, 2007. For NPCs, which are no IDM vehicles, the model assumes that each desires its
-current speed.
+Transportation Research Record 1999, 2007.
 """
 
 from __future__ import annotations
@@ -19,41 +19,21 @@ from typing import Any
 from pytest_pafot.world.kernel.action import lane_steering, not_zero
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc
-from pytest_pafot.world.kernel.driver import clamped
+from pytest_pafot.world.kernel.driver import clamp
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.kernel.places import Places
 
-ON_LANE = 1.0
-"""The distance beyond a lane's lines up to which a vehicle is still in the lane [m]."""
-LANE_ENDS = 5.0
-"""The distance beyond a lane's ends up to which a vehicle is still in the lane [m]."""
+ON_LANE = 1.0  # the distance outside a lane's lines up to which a vehicle is still in the lane [m]
+LANE_ENDS = 5.0  # the distance past a lane's ends up to which a vehicle is still in the lane [m]
 NOWHERE = float("nan")
-PURSUIT = 0.1
-"""The time for which a vehicle looks ahead along its lane to steer [s]."""
-MOMENTS, APART = 11, 0.25
-"""The number of moments at which highway-env predicts vehicles, and the time between them [s]."""
-LONGER, NARROWER = 1.5, 0.9
-"""The factors of a vehicle's length and width in these predictions."""
+PURSUIT = 0.1  # the time for which a vehicle looks ahead along its lane to steer [s]
+MOMENTS, APART = 11, 0.25  # number of moments at which highway-env predicts vehicles, and time between them [s]
+LONGER, NARROWER = 1.5, 0.9  # the factors of a vehicle's length and width in these predictions
 
 
 class GoalVehicle(Body):
-    """A vehicle that steers for a lane and drives at a speed, its goal, which it may find itself by IDM and MOBIL.
-
-    Args:
-        constants: the constants of the vehicle class, by name.
-        lanes: the road's lanes.
-        speed_limit: the speed limit of every lane [m/s].
-
-    Attributes:
-        has_goal: true if it steers for a lane and a speed, its goal; else its controls are set from outside and held.
-        drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
-            outside, for instance by meta-actions.
-        closest: the lane in which it is, until the next step.
-        goal, target_speed: the lane and the speed of its goal [m/s].
-        timer: the time since its last decision on lanes [s].
-        waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
-    """
+    """A vehicle that drives towards a goal, a lane and a speed, which it can choose itself with IDM and MOBIL."""
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
         super().__init__(constants["LENGTH"], constants["WIDTH"])
@@ -76,29 +56,29 @@ class GoalVehicle(Body):
         self._max_steering = constants["MAX_STEERING_ANGLE"]
         self._kp_speed = constants["KP_A"]
         self._changes_lanes = True
-        self.closest = 0
-        self.goal = 0
+        self.closest = 0  # lane in which it is, until the next step
+        self.goal = 0  # lane
         self.target_speed = 0.0
-        self.timer = 0.0
+        self.timer = 0.0  # since its last decision on lanes [s]
         self._routed = -1  # the lane that a route demands, counted from the left; -1 for none
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
+        """Start a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
-        self.closest = self.goal = self._found(self)
+        self.closest = self.goal = self._find_lane(self)
         self.target_speed = speed
         self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
     def pursue(self) -> None:
-        """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
+        """Set acceleration and steering for the coming tick towards the goal, regardless of other vehicles."""
         self._follow_road()
         self.steering = self._steering()
         self.acceleration = self._kp_speed * (self.target_speed - self.speed)
 
     def act(self, others: list[Body]) -> None:
-        """Set acceleration and steering for the coming tick, by IDM and MOBIL if it drives itself."""
-        if not self.drives_itself:
+        """Set acceleration and steering for the coming tick, with IDM and MOBIL if it drives itself."""
+        if not self.drives_itself:  # its goal or its controls are set from outside, for example by meta-actions
             if self.has_goal:
                 self.pursue()
             return
@@ -106,33 +86,30 @@ class GoalVehicle(Body):
         if self._changes_lanes:
             self._choose_lane(others)
         self.steering = self._steering()
-        acceleration = self._pulled(self, self._ahead(others, self.closest))
-        if self.closest != self.goal:
-            there = self._pulled(self, self._ahead(others, self.goal))
+        acceleration = self._idm(self, self._ahead(others, self.closest))
+        if self.closest != self.goal:  # during a lane change, it brakes for the vehicle ahead in either lane
+            there = self._idm(self, self._ahead(others, self.goal))
             acceleration = min(acceleration, there)
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
     def step(self, dt: float) -> None:
-        """Move for one time step [s]."""
         self.timer += dt
         Body.step(self, dt)  # C methods have no super()
-        self.closest = self._found(self)
+        self.closest = self._find_lane(self)
 
     # What a road of another shape replaces.
 
-    def _found(self, vehicle: Body) -> int:
-        """Return the lane that is closest to a vehicle."""
+    def _find_lane(self, vehicle: Body) -> int:
         return self._lanes.closest(vehicle.x, vehicle.y, vehicle.heading)
 
     def _follow_road(self) -> None:
-        """Take the next lane at the end of a lane; this road has none."""
+        """Switch to the next lane at the end of a lane."""
 
     def _is_demanded(self, lane: int) -> bool:
-        """Return whether a lane is towards the one that the route demands; this road has no routes."""
+        """Return whether a lane is on the side that the route requires."""
         return False
 
     def _has_beside(self, lane: int, side: int) -> bool:
-        """Return whether a lane is next to another one."""
         return 0 <= side < self._lanes.count
 
     def _choose_lane(self, others: list[Body]) -> None:
@@ -150,40 +127,39 @@ class GoalVehicle(Body):
         return lateral <= 2.0 * self._lanes.width and inside and abs(self.speed) >= 1.0
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
-        """Return whether MOBIL advises a change to a lane."""
+        """Return whether MOBIL recommends a change to a lane."""
         ahead, behind = self._ahead(others, lane), self._behind(others, lane)
-        behind_then = self._pulled(behind, self)
+        behind_then = self._idm(behind, self)  # the new follower must not brake hard, even on a route
         if behind_then < -self._max_imposed:
             return False
         left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
-        own = self._pulled(self, ahead)
+        own = self._idm(self, ahead)
         if self._routed >= 0:
             return self._is_demanded(lane) and own >= -self._max_imposed
-        own_gain = own - self._pulled(self, left)
-        others_gain = (
-            behind_then - self._pulled(behind, ahead) + self._pulled(follower, left) - self._pulled(follower, self)
-        )
+        # Kesting et al. 2007: the own gain and the others' gain, weighted by politeness
+        own_gain = own - self._idm(self, left)
+        others_gain = behind_then - self._idm(behind, ahead) + self._idm(follower, left) - self._idm(follower, self)
         return own_gain + self._politeness * others_gain >= self._min_gain
 
-    def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
-        """Return the acceleration of a vehicle behind ``front`` by the IDM [m/s^2]; 0 if ``vehicle`` is None."""
+    def _idm(self, vehicle: Body | None, front: Body | None) -> float:
+        """Return the acceleration that IDM gives a vehicle behind ``front`` [m/s^2]."""
         if vehicle is None:
             return 0.0
+        # other vehicles are assumed to desire their current speed
         wanted = self.target_speed if vehicle is self else vehicle.speed
-        liked = min(max(wanted, 0.0), self._limit(vehicle))
+        liked = min(max(wanted, 0.0), self._speed_limit_of(vehicle))
         share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
+        # Treiber et al. 2000: free road, then the interaction with the vehicle in front
         acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
         if front is not None:
-            gap = self._desired_gap(vehicle, front) / not_zero(self._apart(vehicle, front))
+            gap = self._desired_gap(vehicle, front) / not_zero(self._distance_to(vehicle, front))
             acceleration -= self._comfort * (gap * gap)
         return acceleration
 
-    def _apart(self, vehicle: Body, front: Body) -> float:
-        """Return the distance to another vehicle along the lane [m]."""
+    def _distance_to(self, vehicle: Body, front: Body) -> float:
         return front.x - vehicle.x
 
-    def _limit(self, vehicle: Body) -> float:
-        """Return the speed limit of a vehicle's lane [m/s]."""
+    def _speed_limit_of(self, vehicle: Body) -> float:
         return self._speed_limit
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
@@ -197,10 +173,10 @@ class GoalVehicle(Body):
     def _steering(self) -> float:
         offset = self.y - self.goal * self._lanes.width
         angle = lane_steering(offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
-        return clamped(angle, self._max_steering)
+        return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle ahead in a lane; if several are at the same place, the last of them."""
+        """Return the nearest vehicle ahead in a lane, or the last of several at the same position."""
         found = None
         for other in others:
             if (
@@ -213,7 +189,7 @@ class GoalVehicle(Body):
         return found
 
     def _behind(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle behind in a lane; if several are at the same place, the first of them."""
+        """Return the nearest vehicle behind in a lane, or the first of several at the same position."""
         found = None
         for other in others:
             if other.x < self.x and (found is None or other.x > found.x) and _is_on(other, lane, self._lanes):
@@ -227,20 +203,14 @@ def _is_on(vehicle: Body, lane: int, lanes: Lanes) -> bool:
 
 
 class StaticObstacle(Body):
-    """An object that stands on the road. Other vehicles drive behind it, but it is nobody's follower."""
+    """A stationary object on the road, behind which other vehicles stop."""
 
 
 class NetworkVehicle(GoalVehicle):
     """A vehicle with a goal on any road.
 
-    Args:
-        constants: the constants of the vehicle class, by name.
-        network: the lanes of the road.
-        following: returns the lane that follows a lane for a vehicle at x and y [m], and the lane that the rest of its
-            route demands, counted from the left, or -1.
-        routed: the lane that its route demands at the start, or -1.
-        route: returns the lanes of the rest of its route, for the lane in which it is.
-        searched: for each lane, the lanes in which it looks for vehicles, and where each begins along the lane [m].
+    ``following`` takes a lane and a vehicle's x and y [m]. It returns the next lane, and the lane that the route then
+    requires, counted from the left, or -1. ``route`` returns the remaining lanes of the route for a lane.
     """
 
     def __init__(
@@ -260,10 +230,9 @@ class NetworkVehicle(GoalVehicle):
         self._searched = list(searched)
 
     def route(self) -> list[int]:
-        """Return the lanes of the rest of its route."""
         return self._route(self.closest)
 
-    def _found(self, vehicle: Body) -> int:
+    def _find_lane(self, vehicle: Body) -> int:
         return self._network.closest(vehicle.x, vehicle.y, vehicle.heading)
 
     def _follow_road(self) -> None:
@@ -280,28 +249,28 @@ class NetworkVehicle(GoalVehicle):
         number = self._network.numbers[self.goal]
         return self._routed < number if lane < self.goal else self._routed > number
 
-    def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
-        return 0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._pulled(self, vehicle, front)
+    def _idm(self, vehicle: Body | None, front: Body | None) -> float:
+        return 0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._idm(self, vehicle, front)
 
-    def _apart(self, vehicle: Body, front: Body) -> float:
+    def _distance_to(self, vehicle: Body, front: Body) -> float:
         network, lane = self._network, self._lane_of(vehicle)
         network.locate(lane, front.x, front.y)
         there = network.along
         network.locate(lane, vehicle.x, vehicle.y)
         return there - network.along
 
-    def _limit(self, vehicle: Body) -> float:
+    def _speed_limit_of(self, vehicle: Body) -> float:
         return self._network.speed_limits[self._lane_of(vehicle)]
 
     def _lane_of(self, vehicle: Body) -> int:
-        return self.closest if vehicle is self else self._found(vehicle)
+        return self.closest if vehicle is self else self._find_lane(vehicle)
 
     def _steering(self) -> float:
         network, goal = self._network, self.goal
         network.locate(goal, self.x, self.y)
         offset, ahead = network.across, network.heading_at(goal, network.along + self.speed * PURSUIT)
         angle = lane_steering(offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
-        return clamped(angle, self._max_steering)
+        return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Any], lane: int) -> Body | None:
         found, nearest = None, math.inf
@@ -324,7 +293,7 @@ class NetworkVehicle(GoalVehicle):
         return found
 
     def _along(self, lane: int, other: Body) -> float:
-        """Return the place of another vehicle along a lane [m]; NaN if it is on none of the lanes that are searched."""
+        """Return the position of another vehicle along a lane [m], or NaN if it is on none of the searched lanes."""
         network = self._network
         for each, begins in self._searched[lane]:
             if network.is_on(each, other.x, other.y, ON_LANE):
@@ -333,20 +302,7 @@ class NetworkVehicle(GoalVehicle):
 
 
 class EgosRoadRules:
-    """The rules for an ego that drives by IDM; no other vehicle obeys them.
-
-    The ego is predicted along its route, and an NPC along its way or its lane, at their speeds.
-
-    Args:
-        ego: the ego.
-        places: the vehicles, and their places on the ego's way.
-        bends: the ego's way.
-        network: the lanes of the road.
-        priorities: the priority of each lane.
-        steps: the number of steps that the road has done before.
-        every: the number of steps between two decisions of the rules.
-        lasts: the number of decisions for which a vehicle yields beyond the first.
-    """
+    """The rules of highway-env's ``RegulatedRoad`` for an ego that drives with IDM. No other vehicle obeys them."""
 
     def __init__(
         self,
@@ -370,7 +326,7 @@ class EgosRoadRules:
         self._predicted = array("d", [0.0]) * (6 * MOMENTS)  # x, y and heading at each moment, of the ego and an NPC
 
     def apply_to_ego(self) -> None:
-        """Count a step of the road, and make the ego yield if it is time and it has to."""
+        """Count a step of the road, and make the ego yield or continue if a decision is due."""
         self._steps += 1
         if self._steps % self._every:
             return
@@ -386,7 +342,6 @@ class EgosRoadRules:
                 ego.waited = 0
 
     def _release(self, vehicle: NetworkVehicle) -> None:
-        """Let a vehicle drive on that has yielded for long enough."""
         if vehicle.waited >= self._lasts:
             vehicle.target_speed = self._network.speed_limits[vehicle.closest]
             vehicle.waited = -1
@@ -394,7 +349,6 @@ class EgosRoadRules:
             vehicle.waited += 1
 
     def _predict(self, vehicle: NetworkVehicle) -> None:
-        """Predict the ego at each moment."""
         network, route = self._network, vehicle.route()
         network.locate(vehicle.closest, vehicle.x, vehicle.y)
         here = network.along
@@ -414,7 +368,6 @@ class EgosRoadRules:
         self._predicted[row + 2] = heading
 
     def _conflict(self, one: Body, other: Body) -> bool:
-        """Return whether two vehicles touch at a moment, as highway-env predicts them."""
         row, its_row = 0, 3 * MOMENTS
         for _ in range(MOMENTS):
             x, y, heading = self._predicted[row], self._predicted[row + 1], self._predicted[row + 2]
@@ -433,7 +386,7 @@ class EgosRoadRules:
         return False
 
     def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
-        """Return whether a vehicle has to let another one pass: by the priorities of lanes, or if it is behind."""
+        """Return whether a vehicle must yield to another one, because its lane has a lower priority or it is behind."""
         mine, theirs = self._priorities[one.closest], self._priorities[one._lane_of(other)]
         if mine != theirs:
             return mine < theirs
@@ -442,7 +395,6 @@ class EgosRoadRules:
         return ahead > -(math.cos(other.heading) * dx + math.sin(other.heading) * dy)
 
     def _foresee_npc(self, row: int, body: Body, time: float) -> None:
-        """Predict an NPC after a time [s]."""
         along, bends = body.x + body.speed * time, self._bends
         npc: Any = body
         x, y, heading = npc.track.pose(along) if isinstance(body, CrossingNpc) else bends.pose(body.lane, along)
@@ -461,10 +413,7 @@ def _has_corner_inside(
     other_length: float,
     other_width: float,
 ) -> bool:
-    """Return whether a corner, a middle of a side or the centre of a box is inside another one, as in highway-env.
-
-    highway-env turns the points by the other box's heading in the wrong direction, which is repeated here.
-    """
+    """Return whether a corner, the middle of a side or the centre of a box is inside another one, as in highway-env."""
     cos, sin = math.cos(heading), math.sin(heading)
     other_cos, other_sin = math.cos(other_heading), math.sin(other_heading)
     for along in range(-1, 2):

@@ -37,7 +37,7 @@ cdef class Network:
 
     cpdef bint is_after_end(self, int lane, double x, double y) except -1
 
-cpdef double wrapped(double angle) except? -1e300
+cpdef double wrap_angle(double angle) except? -1e300
 
 @cython.final
 cdef class Table:

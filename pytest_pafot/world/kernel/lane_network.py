@@ -1,7 +1,6 @@
-"""Road networks of highway-env in plain numbers, and the Kinematics observation of its policies on them.
+"""highway-env's road networks in plain numbers, and the Kinematics observation on them.
 
-The equations are highway-env's, operation by operation, and so are the names of options. Vehicles are highway-env's
-objects, or any others with the same attributes.
+The equations and the names of options are highway-env's.
 """
 
 from __future__ import annotations
@@ -13,18 +12,14 @@ from typing import Any
 
 import numpy as np
 
-SINE, CIRCULAR = 1, 2
-"""The kinds of lanes beside straight ones, which are 0."""
-LANE_VALUES = 9
-"""The number of values that give the shape of a lane; see :class:`Network`."""
-LANE_ENDS = 5.0
-"""The distance beyond a lane's ends up to which a vehicle is still in the lane [m]."""
+SINE, CIRCULAR = 1, 2  # the kinds of lanes other than straight ones, which are 0
+LANE_VALUES = 9  # the number of values for the shape of a lane; see Network
+LANE_ENDS = 5.0  # the distance past a lane's ends up to which a vehicle is still in the lane [m]
+# highway-env's features of a vehicle, in the order of Table
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
-"""What highway-env describes a vehicle by, in the order of :class:`Table`."""
-HALF_TURN = math.pi
-"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
+HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 class Network:
@@ -32,20 +27,14 @@ class Network:
 
     Args:
         kinds: the kind of each lane: 0 for a straight one, 1 for a sine, 2 for a circle.
-        shapes: nine values for each lane. Of a straight lane: x and y of its start [m], the direction as a vector, its
-            heading [rad], and zeros; of a sine lane also its amplitude [m], pulsation [rad/m] and phase [rad]; of a
-            circular lane: x and y of its centre [m], its radius [m], its start phase [rad], its direction (1 or -1),
-            and zeros.
-        lengths, widths, speed_limits: of each lane [m, m, m/s].
+        shapes: nine values for each lane, padded with zeros. A straight lane has x and y of its start [m], its
+            direction as a vector, and its heading [rad]. A sine lane also has its amplitude [m], pulsation [rad/m] and
+            phase [rad]. A circular lane has x and y of its centre [m], its radius [m], its start phase [rad] and its
+            direction (1 or -1).
+        lengths, widths, speed_limits: values of each lane [m, m, m/s].
         sections: the number of each lane's road section.
         numbers: the number of each lane in its section, from the left.
-        forbidden: 1 for each lane that may not be entered.
-
-    Attributes:
-        count: the number of lanes.
-        lengths, speed_limits, numbers: those of each lane, as given.
-        along, across: the result of :meth:`locate` [m].
-        x, y: the result of :meth:`position` [m].
+        forbidden: 1 for each lane that vehicles may not enter.
     """
 
     def __init__(
@@ -68,27 +57,24 @@ class Network:
         self.along = self.across = self.x = self.y = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return the parts for pickling, because worlds are sent to other processes."""
         sizes = list(self.lengths), list(self._widths), list(self.speed_limits)
         places = list(self._sections), list(self.numbers), list(self._forbidden)
         return Network, (list(self._kinds), list(self._shapes), *sizes, *places)
 
     def __deepcopy__(self, _: object) -> Network:
-        """Return itself, because highway-env deep-copies vehicles with their road to predict them, which is slow."""
         return self
 
     def is_beside(self, lane: int, other: int) -> bool:
-        """Return whether a number is that of a lane in the same road section."""
         return 0 <= other < self.count and self._sections[lane] == self._sections[other]
 
     def locate(self, lane: int, x: float, y: float) -> None:
-        """Set the place of a point along a lane and to the right of its centre line."""
+        """Set ``along`` and ``across`` to a point's distance along a lane and to the right of its centre line [m]."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         dx, dy = x - self._shapes[row], y - self._shapes[row + 1]
         if kind == CIRCULAR:
             radius, start, turn = self._shapes[row + 2], self._shapes[row + 3], self._shapes[row + 4]
             phi = math.atan2(dy, dx)
-            phi = start + wrapped(phi - start)
+            phi = start + wrap_angle(phi - start)
             self.along = turn * (phi - start) * radius
             self.across = turn * (radius - math.sqrt(dx * dx + dy * dy))
             return
@@ -99,7 +85,7 @@ class Network:
             self.across -= self._sideways(row)
 
     def position(self, lane: int, along: float, across: float) -> None:
-        """Set the point at a place along a lane and to the right of its centre line [m]."""
+        """Set ``x`` and ``y`` to the point at a distance along a lane and to the right of its centre line [m]."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             radius, start, turn = self._shapes[row + 2], self._shapes[row + 3], self._shapes[row + 4]
@@ -115,11 +101,10 @@ class Network:
         self.y = self._shapes[row + 1] + along * sin + across * cos
 
     def _sideways(self, row: int) -> float:
-        """Return how far a sine lane is to the right of its axis at ``along`` [m]."""
         return self._shapes[row + 5] * math.sin(self._shapes[row + 6] * self.along + self._shapes[row + 7])
 
     def heading_at(self, lane: int, along: float) -> float:
-        """Return a lane's direction at a place along it [rad]."""
+        """Return a lane's direction at a distance along it [rad]."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             turn = self._shapes[row + 4]
@@ -131,20 +116,20 @@ class Network:
         return heading
 
     def closest(self, x: float, y: float, heading: float) -> int:
-        """Return the first lane with the least sum of distances along and across it [m] and angle to it [rad]."""
+        """Return the first lane with the smallest sum of distances along and across it [m] and angle to it [rad]."""
         best, nearest = math.inf, 0
         for lane in range(self.count):
             self.locate(lane, x, y)
             along, length = self.along, self.lengths[lane]
             distance = abs(self.across) + max(along - length, 0.0) + max(0.0 - along, 0.0)
             if distance < best:  # the angle can only add to it
-                distance += abs(wrapped(heading - self.heading_at(lane, along)))
+                distance += abs(wrap_angle(heading - self.heading_at(lane, along)))
                 if distance < best:
                     best, nearest = distance, lane
         return nearest
 
     def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
-        """Return whether a point is on a lane that is wider by a margin to each side [m], and set its place."""
+        """Return whether a point is on a lane, widened by a margin on each side [m], and locate it."""
         self.locate(lane, x, y)
         inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
         return inside and abs(self.across) <= self._widths[lane] / 2.0 + margin
@@ -158,25 +143,18 @@ class Network:
         return inside and abs(self.across) <= 2.0 * self._widths[lane]
 
     def is_after_end(self, lane: int, x: float, y: float) -> bool:
-        """Return whether a vehicle at a point must take the next lane."""
+        """Return whether a vehicle at a point must switch to the next lane."""
         self.locate(lane, x, y)
         return self.along > self.lengths[lane] - LANE_ENDS / 2.0
 
 
-def wrapped(angle: float) -> float:
-    """Return an angle wrapped to [-pi, pi) [rad]."""
+def wrap_angle(angle: float) -> float:
+    """Wrap an angle to [-pi, pi) [rad]."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 class Table:
-    """The Kinematics observation: the features of the ego and of the others that are nearest along its lane.
-
-    Args:
-        network: the road's lanes.
-        lanes: the number in ``network`` of each of highway-env's lanes.
-        options: highway-env's observation, whose options are attributes.
-        ranges: for each feature that is scaled, the values that become -1 and 1.
-    """
+    """The Kinematics observation: the features of the ego and of the vehicles nearest along its lane."""
 
     def __init__(
         self, network: Network, lanes: dict[Any, int], options: Any, ranges: Mapping[str, Sequence[float]]
@@ -200,12 +178,7 @@ class Table:
     def observe(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int) -> Any:
         """Return the observation as float32 of shape [vehicles, features].
 
-        Args:
-            ego: the vehicle that observes.
-            vehicles: the vehicles on the road.
-            objects: the fixed objects that it may observe.
-            reach: the distance up to which it observes others [m].
-            exit_lane: the number of a lane along which the ego's x is measured, or -1.
+        The ego observes other vehicles up to ``reach`` [m]. Its x is measured along ``exit_lane``, unless that is -1.
         """
         values, network, count = self._values, self._network, len(vehicles)
         near = self._nearest(ego, vehicles, objects, reach)
@@ -232,7 +205,6 @@ class Table:
         return made
 
     def _nearest(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float) -> list[tuple[float, int, Any]]:
-        """Return the nearest others along the ego's lane, each after its distance [m] and its number on the road."""
         network, lane, found = self._network, self._lanes[ego.lane], []
         x, y = ego.position.tolist()
         network.locate(lane, x, y)
@@ -252,7 +224,6 @@ class Table:
         return found[: self._count - 1] if self._count > 1 else found  # for highway-env, a count of 0 is no limit
 
     def _read(self, vehicle: Any, is_object: bool) -> None:
-        """Set the values to the features of a vehicle, or of a fixed object, some of whose features are unknown."""
         values, heading = self._values, vehicle.heading
         x, y = vehicle.position.tolist()
         cos, sin = math.cos(heading), math.sin(heading)
@@ -274,7 +245,6 @@ class Table:
             values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
 
     def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
-        """Set the direction to the end of a vehicle's route, if it has a route."""
         route = getattr(vehicle, "route", None)
         if not route:
             return
@@ -287,7 +257,6 @@ class Table:
             self._values[8], self._values[9] = dx / away, dy / away
 
     def _scaled(self, feature: int) -> float:
-        """Return a value, scaled if its feature has a range."""
         value = self._values[feature]
         if self._is_scaled[feature]:
             low = self._low[feature]

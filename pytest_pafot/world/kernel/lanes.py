@@ -1,4 +1,4 @@
-"""The lanes of a road in plain numbers: parallel straight ones, those along a way with bends, and a way of its own."""
+"""The lanes of a road in plain numbers: parallel straight lanes, lanes along a curved path, and a single path."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from collections.abc import Sequence
 
 from pytest_pafot.world.kernel.bodies import Body
 
-ALMOST = 1e-6
-"""The distance to a lane line [m] below which rounding matters, so a vehicle's lane is found by comparing lanes."""
+ALMOST = 1e-6  # the distance to a lane line below which rounding matters, so that lanes are compared [m]
 
 
 class Lanes:
-    """Parallel lanes, numbered from the left, with one width and length [m]."""
+    """Parallel lanes of equal length and width [m], numbered from the left."""
 
     def __init__(self, count: int, width: float, length: float) -> None:
         self.count = count
@@ -25,9 +24,9 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane (of two equally near, the left lane); return the lane, or -1 off the road.
+        """Set a body's nearest lane, and return it, or -1 off the road.
 
-        This is the lane of the record, the grid and the NPCs; highway-env's vehicles go by :meth:`closest`.
+        If two lanes are equally near, the left one is used. highway-env's vehicles use :meth:`closest` instead.
         """
         across = body.y
         offset = across - body.lane * self.width
@@ -44,7 +43,8 @@ class Lanes:
         return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
-        """Return the lane that highway-env finds: the first with the least sum of lateral distance and angle."""
+        """Return the lane that highway-env finds: the first with the smallest sum of lateral distance and angle."""
+        # Inside a lane, its centre is nearest; otherwise lanes are compared, as highway-env does.
         near = int(across / self.width + 0.5) if across > 0.0 else 0
         if near < self.count and abs(across - near * self.width) < self._inside:
             return near  # the other terms are equal for all lanes
@@ -58,29 +58,15 @@ class Lanes:
         return lane
 
 
-STEP = 0.5
-"""The distance between neighbouring points of a line [m]."""
-HALF_TURN = math.pi
-"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
-ON_LANE = 1e-6
-"""The tolerance for rounding within which a vehicle next to a lane is still on it [m]."""
+STEP = 0.5  # the distance between neighbouring points of a line [m]
+HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
+ON_LANE = 1e-6  # the tolerance for rounding within which a vehicle next to a lane is still on it [m]
 
 
 class Bends:
-    """The lanes along a line.
+    """The lanes along a line, with values at each point of the line.
 
-    Args:
-        line: x, y and heading of the line's points [m, m, rad].
-        flags: for each point of each lane, lane after lane: 1 if the lane exists there, else 0; and the lane's number
-            in a trace.
-        shape: for each point of each lane, lane after lane: the lane's distance to the right of the line [m], its
-            direction [rad], the lean of a vehicle in it [rad], the highest speed of NPCs [m/s], and the largest
-            curvature over the length of a lane change from there [1/m].
-        widths: the widths of the trace's lanes [m].
-        lane_width: the width of the ego's lane at the start [m].
-
-    Attributes:
-        along, across, angle, lane, offset: the place at which :meth:`locate` has found a vehicle [m, m, rad, , m].
+    Lists with values for several lanes have all points of the first lane first.
     """
 
     def __init__(
@@ -92,41 +78,41 @@ class Bends:
         lane_width: float,
     ) -> None:
         x, y, heading = line
-        exists, part = flags
+        exists, part = flags  # whether a lane exists there (1 or 0), and its index in the trace, or -1
+        # Distance to the right of the line [m], direction [rad], lean of a vehicle in the lane [rad], highest speed of
+        # NPCs [m/s], and largest curvature during a lane change from there [1/m].
         across, direction, lean, speed, sharpest = shape
         self._x, self._y, self._heading = array("d", x), array("d", y), array("d", heading)
         self._exists, self._part = array("i", exists), array("i", part)
         self._across, self._direction = array("d", across), array("d", direction)
         self._lean, self._speed = array("d", lean), array("d", speed)
         self._sharpest = array("d", sharpest)
-        self._widths = array("d", widths)
+        self._widths = array("d", widths)  # of the trace's lanes [m]
         self._points = len(x)
         self._lanes = len(exists) // len(x)
         self._end = (len(x) - 1) * STEP
-        self._lane_width = lane_width
-        self.along = self.across = self.angle = self.offset = 0.0
+        self._lane_width = lane_width  # of the ego's lane at the start [m]
+        self.along = self.across = self.angle = self.offset = 0.0  # where `locate` has found a vehicle [m, m, rad, m]
         self.lane = 0
         self._share = self._x0 = self._y0 = self._direction0 = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return the parts for pickling, because worlds send their roads to other processes."""
-        line = list(self._x), list(self._y), list(self._heading)
+        line = list(self._x), list(self._y), list(self._heading)  # worlds send their roads to other processes
         flags = list(self._exists), list(self._part)
         shape = list(self._across), list(self._direction), list(self._lean), list(self._speed), list(self._sharpest)
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
-        """Return the number of the line's point nearest to a place; of two equally near, the even one."""
+        """Return the number of the line's point nearest to a position, or the even one of two equally near."""
         return min(max(even_rounded(along / STEP), 0), self._points - 1)
 
     def exists(self, lane: int, along: float) -> bool:
-        """Return whether a lane exists at a place along the road."""
         if not (0 <= lane < self._lanes and 0.0 <= along <= self._end):
             return False
         return self._exists[lane * self._points + self.point(along)] != 0
 
     def continues(self, lane: int, since: float, until: float) -> bool:
-        """Return whether a lane exists from one place to another, or to the end of the road."""
+        """Return whether a lane exists from one position to another, or to the end of the road."""
         if not 0 <= lane < self._lanes or since < 0.0:
             return False
         row = lane * self._points
@@ -136,13 +122,13 @@ class Bends:
         return True
 
     def _between(self, along: float) -> int:
-        """Return the point before a place, and set the share of the step from this point to the next at the place."""
         index = min(max(int(along / STEP), 0), self._points - 2)
+        # Of the step to the next point. It is negative or above 1 past the ends, where the line goes straight on.
         self._share = along / STEP - index
         return index
 
     def _value(self, values: array[float], lane: int, along: float) -> float:
-        """Return a lane's interpolated value at a place; beyond the ends it is constant."""
+        """Interpolate a lane's value. It is constant before the start and after the end."""
         index = self._between(along) + lane * self._points
         share = min(max(self._share, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
@@ -159,15 +145,12 @@ class Bends:
         return self._x0 - sin * across, self._y0 + cos * across, heading
 
     def direction_at(self, lane: int, along: float) -> float:
-        """Return a lane's direction [rad]."""
         return self._value(self._direction, lane, along)
 
     def lean_at(self, lane: int, along: float) -> float:
-        """Return a vehicle's lean in a lane [rad]."""
         return self._value(self._lean, lane, along)
 
     def sharpest_at(self, lane: int, along: float) -> float:
-        """Return the largest curvature of a lane that an NPC meets during a lane change from a place [1/m]."""
         return self._sharpest[lane * self._points + self.point(along)]
 
     def heading_at(self, along: float) -> float:
@@ -176,17 +159,16 @@ class Bends:
         return self._direction0
 
     def speed_at(self, lane: int, along: float) -> float:
-        """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
+        """Return the highest speed of an NPC in a lane [m/s]."""
         return self._value(self._speed, lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Return the metres that a vehicle drives per metre of the line: above 1 on the outside of a bend."""
+        """Return the metres that a vehicle drives per metre of the line, above 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
         return max(1.0 - bend * across, 0.2)  # beyond the centre of a bend it would be zero or negative
 
     def _refer(self, along: float) -> None:
-        """Set x, y and direction of the line at a place; it goes straight on beyond its ends."""
         index = self._between(along)
         share = self._share
         turned = min(max(share, 0.0), 1.0) * (self._heading[index + 1] - self._heading[index])
@@ -197,7 +179,7 @@ class Bends:
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
         """Find a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
 
-        ``near`` is a place close to the vehicle, because roads may cross themselves [m].
+        ``near`` is a position close to the vehicle, because roads may cross themselves [m].
         """
         along = near
         for _ in range(4):  # each step projects onto the tangent at the last place; this converges in bends, too
@@ -220,7 +202,8 @@ class Bends:
         self.offset = across - self._value(self._across, nearest, along)
 
     def in_lanes(self, lane: int, along: float, offset: float) -> float:
-        """Return the nominal position across the road of a vehicle with an offset from a lane's centre [m]."""
+        """Return the nominal lateral position of a vehicle with an offset from a lane's centre [m]."""
+        # offsets are scaled so that the neighbour's centre is one nominal lane width away
         toward = lane + (1 if offset > 0.0 else -1)
         scale = 1.0
         if self.exists(toward, along):
@@ -229,33 +212,20 @@ class Bends:
         return lane * self._lane_width + offset * scale
 
     def part(self, lane: int, along: float, offset: float) -> int:
-        """Return the number, among a trace's lanes, of the way's lane on which a vehicle's centre is; -1 if on none."""
+        """Return the index of a vehicle's lane in the trace, or -1 if it is on no lane of the path."""
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]
         return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
 
     def nearest_lane(self, lateral: float) -> int:
-        """Return the lane whose centre is nearest to a nominal position."""
+        """Return the lane with the centre nearest to a nominal position."""
         nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a C function returns a float)
         return min(max(nearest, 0), self._lanes - 1)
 
 
 class Track:
-    """The points of a way, with the values that an NPC needs at each of them.
-
-    Args:
-        x, y, heading: position and direction of the points [m, m, rad].
-        lean: the angle to the way of a vehicle that follows it exactly [rad].
-        speed: the highest speed of an NPC [m/s].
-        sharpest: the largest curvature over the length of a lane change from each point [1/m].
-        parts: the index in ``Trace.lanes`` of the lane at each point.
-        along_ego: the place along the ego's way of each point [m]; NaN for points that are not on it.
-        enters: the place at which the way enters its zone [m].
-
-    Attributes:
-        along, across, direction: the result of :meth:`locate` [m, m, rad].
-    """
+    """The points of a path, with the values that an NPC needs at each of them."""
 
     def __init__(
         self,
@@ -270,32 +240,30 @@ class Track:
         enters: float,
     ) -> None:
         self._last = len(x) - 1
+        # Index in Trace.lanes at each point, position along the ego's path [m] or NaN, and where the path enters its
+        # zone [m].
         self.parts, self.along_ego, self.enters = array("i", parts), array("d", along_ego), enters
         self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
+        # Angle to the path of a vehicle that follows it [rad], highest speed of an NPC [m/s], and largest curvature
+        # during a lane change from each point [1/m].
         self.lean, self.speed, self.sharpest = array("d", lean), array("d", speed), array("d", sharpest)
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
-        """Return itself, because highway-env deep-copies vehicles with their ways to predict them, which is slow."""
-        return self
+        return self  # highway-env deep-copies vehicles with their paths to predict them, which is slow
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return the parts for pickling, because worlds send their ways to other processes."""
         x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
         of_lane = list(self.speed), list(self.sharpest), list(self.parts), list(self.along_ego)
         return Track, (x, y, heading, lean, *of_lane, self.enters)
 
     def point(self, along: float) -> int:
-        """Return the index of the point that is nearest to a place."""
         return min(max(int(along / STEP + 0.5), 0), self._last)
 
     def locate(self, x: float, y: float, near: float) -> None:
-        """Find a vehicle on the way, and set ``along``, ``across`` and ``direction``.
-
-        ``near`` is a place close to the vehicle [m]. Beyond its ends, the way goes straight on.
-        """
+        """Find a vehicle close to a position [m], and set ``along``, ``across`` and ``direction``."""
         place = near
-        for _ in range(4):
+        for _ in range(4):  # as in Bends.locate, with the tangent at the last position
             index = min(max(int(place / STEP), 0), self._last - 1)
             share = place / STEP - index
             inside = min(max(share, 0.0), 1.0)
@@ -312,7 +280,7 @@ class Track:
         self.along = place
 
     def pose(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
+        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the path."""
         return (
             self.value(self.x, along),
             self.value(self.y, along),
@@ -320,14 +288,14 @@ class Track:
         )
 
     def value(self, values: array[float], along: float) -> float:
-        """Return the interpolated value of one of the track's arrays at a place; beyond the ends it is constant."""
+        """Interpolate the values of an array. They are constant before the start and after the end."""
         index = min(max(int(along / STEP), 0), self._last - 1)
         share = min(max(along / STEP - index, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
 
 def even_rounded(exact: float) -> int:
-    """Return the nearest whole number; of two equally near, the even one, as Python rounds."""
+    """Return the nearest whole number, or the even one of two equally near."""
     below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
     rest = exact - below
     return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below

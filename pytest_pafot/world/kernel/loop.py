@@ -2,9 +2,9 @@
 # The checks are off because `_note` makes one for all values of a tick.
 """The loop of a run, on every road and with every kind of ego.
 
-In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs,
-which see the ego where it was after the last tick; the ego moves, then each NPC; their places are found and recorded;
-and contacts are looked for, so the last row of a record has the contact. Row 0 has the starts.
+Each tick has this order. The ego's driver decides if a decision is due, and sets the ego's controls. The director sets
+the controls of the NPCs, which see the ego at the position of the last tick. All vehicles move, and their positions are
+recorded. Contacts are checked last, so the last row of a record has the contact. Row 0 has the starts.
 """
 
 from __future__ import annotations
@@ -33,27 +33,18 @@ from pytest_pafot.world.kernel.places import Places
 
 
 class EgoDriver:
-    """The driver of the ego in one run.
-
-    Args:
-        ego: the vehicle, in world coordinates.
-        every: the number of physics ticks between decisions.
-
-    Attributes:
-        actions: all decisions so far.
-        slowest: the longest decision [s].
-    """
+    """The driver of the ego in one run."""
 
     def __init__(self, ego: Body, every: int) -> None:
         self.ego = ego
-        self.every = every
+        self.every = every  # physics ticks between decisions
         self.actions: list[Any] = []
-        self.slowest = 0.0
+        self.slowest = 0.0  # longest decision [s]
 
     def decide(self, tick: int) -> AdsError | None:
-        """Ask the ADS what to do until its next decision, and return its error, or None.
+        """Call the ADS for its next decision, and return its error, or None.
 
-        It is called every ``every`` ticks. A driver without an ADS does nothing here.
+        Without an ADS, this does nothing.
         """
         return None
 
@@ -67,12 +58,9 @@ class EgoDriver:
 
 
 class ModelDriver(EgoDriver):
-    """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call.
+    """The driver of an ego whose model sets the controls at every tick.
 
-    Args:
-        ego: the ego.
-        others: the NPCs and the objects on the road that it considers.
-        rules: the rules of the road that it obeys; None if there are none.
+    It considers the vehicles and objects in ``others``, and obeys ``rules`` if the road has any.
     """
 
     def __init__(self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None) -> None:
@@ -82,11 +70,9 @@ class ModelDriver(EgoDriver):
         self.rules = rules
 
     def actuate(self) -> None:
-        """Apply the vehicle's own model."""
         self.model.act(self.others)
 
     def step(self, dt: float) -> AdsError | None:
-        """Apply the rules of the road, and move the ego for one tick [s]."""
         if self.rules is not None:
             self.rules.apply_to_ego()
         self.model.step(dt)
@@ -94,18 +80,7 @@ class ModelDriver(EgoDriver):
 
 
 class GivenDriver(EgoDriver):
-    """A driver whose decisions are passed in: acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
-
-    Args:
-        ego: the ego, in world coordinates.
-        place: the ego in road coordinates; the same object if the road starts at the world's origin.
-        sensor: the maker of the ADS's observations.
-        lanes: the number of lanes.
-        lane_width: their width [m].
-        every: the number of physics ticks between decisions.
-        dt: physics tick [s].
-        kind: what vehicle the ego is, if that limits what it does; else None.
-    """
+    """A driver that gets its decisions from outside: acceleration [m/s^2] and steering [rad], or a :class:`Drive`."""
 
     def __init__(
         self,
@@ -120,12 +95,12 @@ class GivenDriver(EgoDriver):
         kind: VehicleType | None = None,
     ) -> None:
         super().__init__(ego, every)
-        self._place = place
+        self._place = place  # the ego in road coordinates; the same object if the road starts at the world's origin
         self._sensor = sensor
         self._lanes = lanes
         self._lane_width = lane_width
         self._dt = dt
-        self._kind = kind
+        self._kind = kind  # the type of vehicle if it limits the ego, else None
         self._wanted = 0.0
         self._lane = -1  # -1 for none, if the decision is a pair
         self._speed = -1.0  # negative for none, if the decision has an acceleration
@@ -169,15 +144,11 @@ class GivenDriver(EgoDriver):
         self.slowest = max(self.slowest, seconds)
 
     def actuate(self) -> None:
-        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse.
-
-        On a bent road, the ego's place is that of its last observation, which must have been made, and its steering is
-        added to the lane's bend.
-        """
+        """Set the controls of a tick from the last decision, and never reverse."""
         ego = self.ego
         if self._lane >= 0:
             across, heading = self._place.y, self._place.heading
-            if self._sensor.is_bent:
+            if self._sensor.is_bent:  # there, the position of the last observation, which must have been made
                 across, heading = self._sensor.across, self._sensor.heading
             offset = across - self._lane * self._lane_width
             self._steer(self._tracker.steering(offset, heading, ego.speed, self._most, self._jerk))
@@ -191,17 +162,14 @@ class GivenDriver(EgoDriver):
 
     def _steer(self, angle: float) -> None:
         self._angle = angle
+        # on a curved road, it is added to the lane's bend
         self.ego.steering = angle + self._sensor.bend if self._sensor.is_bent else angle
 
 
 class PlannerDriver(GivenDriver):
-    """A driver of the ego that calls an ADS with an observation, and applies the decision that the ADS returns.
+    """A driver that calls an ADS with an observation, and applies the decision that the ADS returns.
 
-    Args:
-        ads: the ADS, a callable from an observation to a decision.
-        guard: the guard of the ADS's decisions.
-        decisions: the first decisions, which replace calls of the ADS.
-        ego, place, sensor, lanes, lane_width, every, dt, kind: as for :class:`GivenDriver`.
+    Given decisions replace the first calls of the ADS.
     """
 
     def __init__(
@@ -224,11 +192,11 @@ class PlannerDriver(GivenDriver):
         self._limit = guard.limit
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, call the ADS under guard, and check and apply its action; or apply a given decision.
+        """Call the ADS under guard and apply its action, or apply a given decision.
 
         Raises:
             BadAction: if a given decision is not a valid action.
-            OutOfTime: if the time of the search is over.
+            OutOfTime: if the time of the search has run out.
         """
         taken = len(self.actions)
         if taken < self._given:
@@ -261,34 +229,20 @@ class PlannerDriver(GivenDriver):
 class Loop:
     """The loop of one run.
 
-    It needs little of whoever moves the vehicles. A :class:`Body` has a length and a width, is put at its start by
-    ``place``, moved by ``step`` for one tick with the acceleration and steering that were set, and read as the numbers
-    that :meth:`moved` records; ``EgoDriver.step`` may move the ego in another way. :class:`Places` has the vehicles
-    twice, in the world's coordinates and in those of their road, in which the director thinks, and finds their lanes.
-    A simulator with a loop of its own calls :meth:`command` before and :meth:`moved` after it has moved the vehicles.
-
-    Args:
-        director: the director of the NPCs.
-        places: the vehicles at their starts, and where they are on the road.
-        record: a buffer for ``ticks + 1`` rows of all vehicles.
-        dt: physics tick [s].
-
-    Attributes:
-        tick: the current tick of the run.
-        ego_touched: true if the run ended by a contact of the ego.
-        npcs_touched: true if the run ended by a contact of two NPCs, or of one with a fixed object.
-        simulation: what replaces the states of all vehicles after each tick by those of a simulator; None in most runs.
+    Engines bring their own vehicles, with the attributes of :class:`Body`. A simulator with its own loop calls
+    :meth:`command` before it moves the vehicles, and :meth:`moved` afterwards.
     """
 
     def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
         self.tick = 0
+        # replaces the states of all vehicles after each tick by a simulator's; None in most runs
         self.simulation: Any = None
         self.ego_touched = False
-        self.npcs_touched = False
+        self.npcs_touched = False  # also by a contact with a fixed object
         self._director = director
         self._places = places
         self._lanes = places.lanes
-        self._record = record
+        self._record = record  # a buffer for `ticks + 1` rows of all vehicles
         self._dt = dt
         self._row = 0
         self._end = len(record)
@@ -304,11 +258,11 @@ class Loop:
 
     @property
     def is_over(self) -> bool:
-        """True if a contact has ended the run, or a vehicle or the ego has left the road."""
+        """True if a contact has ended the run, a vehicle has reached the road's end, or the ego has left it."""
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
-        """Drive until the run is over, its tick is ``ticks``, or the ADS fails; return the ADS's error, or None."""
+        """Simulate until the run is over, its tick is ``ticks`` or the ADS fails, and return the ADS's error."""
         due = 0
         while self.tick < ticks:
             if due == 0:
@@ -337,17 +291,16 @@ class Loop:
             self._places.control()
 
     def moved(self) -> bool:
-        """Record a tick in which all vehicles have moved, and return whether a contact or the road ends the run."""
+        """Record a tick after all vehicles have moved, and return whether the run is over."""
         self.tick += 1
         self._note()
         return self._contact() or self._places.left is not None
 
     def _note(self) -> None:
-        """Record the state after a step, and the controls that led to it."""
         row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
         if row + len(self._vehicles) * columns > self._end:
             raise IndexError(f"record: expected room for tick {self.tick}, received {self._end} numbers")
-        for body in self._vehicles:
+        for body in self._vehicles:  # the state after a step, and the controls that led to it
             record[row] = body.x
             record[row + 1] = body.y
             record[row + 2] = body.heading
@@ -362,12 +315,10 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Return whether a vehicle touches another or a fixed object, and set which.
-
-        A contact of the ego is found before contacts of NPCs, and one of two vehicles before one with an object.
-        """
+        """Find a contact of a vehicle with another one or a fixed object, and return whether there is one."""
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
+        # Contacts of the ego are found before contacts of NPCs, and of two vehicles before those with an object.
         for first in range(count - 1):
             x = record[start + first * columns]
             for second in range(first + 1, count):

@@ -1,5 +1,5 @@
 # cython: initializedcheck=False, wraparound=False
-"""The observation of a planner: the world in SI units, read-only and made lazily; and its makers."""
+"""The observation of a planner in SI units, which is read-only and computed lazily, and the sensors that make it."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pytest_pafot.world.kernel.bodies import COLUMNS
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.kernel.places import Places
 
-HALF_TURN = math.pi
-"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
+HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 class VehicleState(NamedTuple):
     """The state of a vehicle, as far as an observer outside the vehicle could measure it.
 
     Attributes:
-        x, y: centre [m]; x along the road, y to the right, 0 on the centre of the leftmost lane.
-        heading: 0 along the road, positive to the right [rad].
-        speed: the speed [m/s].
-        lane: index of the nearest lane, 0 at the left.
-        length, width: the size [m].
+        x, y: position of the centre [m]. x is along the road. y is to the right; it is 0 at the centre of the leftmost
+            lane.
+        heading: heading [rad], 0 along the road, positive to the right.
+        speed: speed [m/s].
+        lane: number of the nearest lane, counted from 0 at the left.
+        length, width: size [m].
     """
 
     x: float
@@ -41,19 +41,18 @@ class VehicleState(NamedTuple):
     width: float = 2.0
 
 
+# the fields of an Observation, in the order of its arguments
 Fields = TypedDict("Fields", {  # noqa: UP013  (a class is longer)
     "time": float, "ego": VehicleState, "others": Sequence[VehicleState], "lanes": int, "lane_width": float,
     "speed_limit": float, "decision_period": float, "acceleration": float, "steering": float,
     "lateral_velocities": tuple[float, ...], "ids": Sequence[int], "road_length": float,
     "crossing": tuple[CrossingVehicle, ...],
 }, total=False)  # fmt: skip
-"""The fields of an :class:`Observation`, in the order of its arguments, with their types."""
 
-_NEW = tuple.__new__
-"""Makes a :class:`VehicleState` in half the time of the class itself."""
+_NEW = tuple.__new__  # makes a VehicleState in half the time of the class itself
 
+# decision period, acceleration, steering, ids, road length, crossing vehicles: few planners use them
 _Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehicle, ...]]
-"""The fields that few planners use: decision period, acceleration, steering, ids, road length, crossing vehicles."""
 
 
 def lateral_velocity(heading: float, speed: float, steering: float) -> float:
@@ -62,44 +61,29 @@ def lateral_velocity(heading: float, speed: float, steering: float) -> float:
 
 
 class Sensor:
-    """The maker of an ADS's observations in one run.
-
-    Attributes:
-        is_bent: true on a bent road, which the ADS sees straightened. The following attributes are the ego's place in
-            the last observation on such a road.
-        along, across: the ego's place along the road and its nominal place across it [m].
-        heading: its heading relative to that of a vehicle that follows its lane [rad].
-        bend: the steering angle with which it follows its lane [rad].
-    """
+    """A source of an ADS's observations in one run."""
 
     def __init__(self) -> None:
-        self.is_bent = False
+        self.is_bent = False  # true on a curved road, which the ADS sees straightened
+        # The ego in the last observation of a curved road: position along it and nominal position across it [m],
+        # heading relative to a vehicle that follows its lane [rad], and the steering angle for following the lane
+        # [rad].
         self.along = self.across = self.heading = self.bend = 0.0
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at the current tick, or on a straight road at an earlier one.
+        """Return the observation at the current tick, or at an earlier one on a straight road.
 
-        On a bent road, it also finds the ego's place, which the driver then steers by.
+        On a curved road, it also finds the ego's position for the driver's steering.
         """
         raise NotImplementedError
 
     def has_lane(self, lane: int) -> bool:
-        """Return whether a lane exists at the ego's place."""
+        """Return whether a lane exists at the ego's position."""
         return True
 
 
 class Observer(Sensor):
-    """The maker of observations on a straight road, from the record of a run.
-
-    Args:
-        record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
-        sizes: length and width of each vehicle [m].
-        lanes: the road's lanes.
-        speed_limit: the speed limit [m/s].
-        physics_hz: ticks per second.
-        every: the number of ticks between decisions.
-        x0, y0: where the road starts in the record's coordinates [m].
-    """
+    """A source of observations on a straight road, which uses the record of a run."""
 
     def __init__(
         self,
@@ -131,13 +115,11 @@ class Observer(Sensor):
         return _NEW(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
     def details(self, tick: int) -> _Details:
-        """Return the fields that few planners use, for a tick."""
         row, count = tick * len(self.sizes) * self.columns, len(self.sizes) - 1
         period, ids = self.every / self.physics_hz, tuple(range(count))
         return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length, ()
 
     def lateral_velocities(self, tick: int) -> tuple[float, ...]:
-        """Return the lateral velocities of all vehicles at a tick [m/s], the ego first."""
         first, columns, record, values = tick * len(self.sizes) * self.columns, self.columns, self.record, []
         for index in range(len(self.sizes)):
             row = first + index * columns
@@ -159,7 +141,6 @@ class Observer(Sensor):
             row += self.columns
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at a tick, whose parts are made when they are read."""
         seen = Observation.__new__(Observation)
         seen._observer = self
         seen._tick = tick
@@ -175,20 +156,21 @@ class Observation:
     """The observation of a planner at one decision.
 
     Attributes:
-        time: time since the start [s].
-        ego: the vehicle that the ADS drives.
-        others: the NPCs; at a junction, only those on the ego's way.
+        time: time since the start of the run [s].
+        ego: vehicle that the planner drives.
+        others: NPCs; at a junction, only NPCs on the ego's path.
         lanes: number of lanes.
-        lane_width: width of each [m].
-        speed_limit: that of the fastest lane [m/s].
-        decision_period: time between decisions [s].
-        acceleration, steering: the ego's in the last tick [m/s^2, rad]; 0 at the start.
-        lateral_velocities: speeds to the right of ego and others, with the slip of turned wheels [m/s].
-        ids: of ``others``, constant in a run: the index in ``run.npcs``.
-        lane_centres: y of each lane's centre line, from the left [m].
-        road_length: the x at which the lanes end [m]; they begin at x = 0.
-        crossing: NPCs on ways that cross the ego's (:class:`pytest_pafot.CrossingVehicle`), which ``ids`` and ``array``
-            leave out.
+        lane_width: width of each lane [m].
+        speed_limit: speed limit of the fastest lane [m/s].
+        decision_period: time between two decisions [s].
+        acceleration, steering: acceleration [m/s^2] and steering angle [rad] of the ego in the last tick; 0 at the
+            start.
+        lateral_velocities: lateral speeds of the ego and the others, positive to the right [m/s].
+        ids: index in ``run.npcs`` of each vehicle in ``others``.
+        lane_centres: centre of each lane, from the left, as its y [m].
+        road_length: end of the lanes, as its x [m]; they start at x = 0.
+        crossing: NPCs on paths that cross the ego's path (:class:`pytest_pafot.CrossingVehicle`). ``ids`` and ``array``
+            do not contain these NPCs.
     """
 
     __slots__ = (
@@ -226,19 +208,16 @@ class Observation:
 
     @property
     def time(self) -> float:
-        """The time since the start [s]."""
         return self._time
 
     @property
     def ego(self) -> VehicleState:
-        """The vehicle that the ADS drives."""
         if self._ego is None:
             self._ego = self._observer.vehicle(self._tick, 0)
         return self._ego
 
     @property
     def others(self) -> tuple[VehicleState, ...]:
-        """The NPCs; at a junction, only the NPCs on the ego's way."""
         if self._others is None:
             count = len(self._observer.sizes)
             self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
@@ -246,37 +225,30 @@ class Observation:
 
     @property
     def lanes(self) -> int:
-        """The number of lanes."""
         return self._lanes
 
     @property
     def lane_width(self) -> float:
-        """The width of every lane [m]."""
         return self._lane_width
 
     @property
     def speed_limit(self) -> float:
-        """The speed limit of the fastest lane [m/s]."""
         return self._speed_limit
 
     @property
     def decision_period(self) -> float:
-        """The time between decisions [s]."""
         return self._detailed()[0]
 
     @property
     def acceleration(self) -> float:
-        """The ego's acceleration in the last tick [m/s^2]."""
         return self._detailed()[1]
 
     @property
     def steering(self) -> float:
-        """The ego's steering angle in the last tick [rad]."""
         return self._detailed()[2]
 
     @property
     def lateral_velocities(self) -> tuple[float, ...]:
-        """The speeds to the right of the ego and then of the others, including the slip of turned wheels [m/s]."""
         if self._lateral is None and self._observer is not None:
             self._lateral = self._observer.lateral_velocities(self._tick)
         elif self._lateral is None:  # the steering is not known
@@ -286,22 +258,18 @@ class Observation:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The id of each vehicle in ``others``: the NPC's index in ``run.npcs``."""
         return self._detailed()[3]
 
     @property
     def lane_centres(self) -> tuple[float, ...]:
-        """The y of the centre line of each lane, from the left [m]."""
         return tuple([lane * self._lane_width for lane in range(self._lanes)])
 
     @property
     def road_length(self) -> float:
-        """The x at which the lanes end [m]; they begin at x = 0."""
         return self._detailed()[4]
 
     @property
     def crossing(self) -> tuple[CrossingVehicle, ...]:
-        """The NPCs on ways that cross the ego's way; ``others`` does not include them."""
         return self._detailed()[5]
 
     @property
@@ -316,11 +284,9 @@ class Observation:
         return self._details
 
     def _count(self) -> int:
-        """Return the number of vehicles."""
         return len(self.others) + 1 if self._observer is None else len(self._observer.sizes)
 
     def _fill(self, values: FloatArray, run: int) -> None:
-        """Write all vehicles into one run of an array of shape [runs, vehicles, 7]."""
         if self._observer is None:
             for index, vehicle in enumerate((self.ego, *self.others)):
                 for column, value in enumerate(vehicle):
@@ -340,13 +306,13 @@ class Observation:
         return hash(self._values())
 
     def replace(self, **changes: Unpack[Fields]) -> Observation:
-        """Return a copy in which some fields are others, such as ``others=()``.
+        """Return a copy with other values in some fields, such as ``others=()``.
 
-        Lateral velocities follow from other vehicles, as without steering, and so do their ids from 0 on if the number
-        of others changes, unless they are given.
+        Unless given, lateral velocities are computed from the new vehicles, as if their wheels were straight. Unless
+        given, ids start at 0 if the number of ``others`` changes.
 
         Raises:
-            TypeError: for a name that is no field.
+            TypeError: for an unknown field.
         """
         fields: dict[str, Any] = dict(zip(Fields.__annotations__, self._values(), strict=True))
         if "ego" in changes or "others" in changes:
@@ -364,9 +330,9 @@ class Observation:
 
 
 def stacked(observations: Sequence[Observation]) -> FloatArray:
-    """Stack observations to a float64 array of shape [observations, vehicles, 7]; see :attr:`Observation.array`.
+    """Stack observations to a float64 array of shape [observations, vehicles, 7].
 
-    In an observation with fewer vehicles than the largest has, the missing rows are NaN.
+    Columns are as in :attr:`Observation.array`. Rows for missing vehicles are NaN.
     """
     most = max([seen._count() for seen in observations])
     made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)
@@ -377,21 +343,10 @@ def stacked(observations: Sequence[Observation]) -> FloatArray:
 
 
 class RoadSensor(Sensor):
-    """The maker of observations on a bent road, from the record of a run.
+    """A source of observations on a curved road, which uses the record of a run.
 
-    In its observations, x is along the ego's way and y nominal across it (see :class:`NetworkRoad`). Distances are
-    driven distances, and headings are relative to that of a vehicle that follows the lane. NPCs on ways of their own
-    are in ``crossing``.
-
-    Args:
-        places: the vehicles and their places on the road.
-        record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
-        bends: the ego's way.
-        leaning: for each vehicle, the ego first, the same way with the leans of a vehicle of its length.
-        zones: the zone of each crossing NPC, None for each other NPC.
-        common: the lanes' number, their width [m], the speed limit [m/s] and the length of the road [m].
-        physics_hz, every: ticks per second, and the number of ticks between decisions.
-        sight: the planner's sight, and the seed of its errors; None for perfect sight.
+    In its observations, x is along the ego's path, and y is the nominal position across it (see :class:`NetworkRoad`).
+    Distances are driven distances, and headings are relative to a vehicle that follows the lane.
     """
 
     def __init__(
@@ -411,9 +366,9 @@ class RoadSensor(Sensor):
         self._places = places
         self._record = record
         self._bends = bends
-        self._leaning = list(leaning)
-        self._zones = list(zones)
-        self._common = common
+        self._leaning = list(leaning)  # the path with the leans of a vehicle of each length, the ego first
+        self._zones = list(zones)  # of each crossing NPC; None for each other NPC
+        self._common = common  # number of lanes, width [m], speed limit [m/s] and length of the road [m]
         self._physics_hz = physics_hz
         self._every = every
         self._sight: Any = None
@@ -424,15 +379,13 @@ class RoadSensor(Sensor):
         self._drift = 0.0
 
     def has_lane(self, lane: int) -> bool:
-        """Return whether a lane exists at the ego's place."""
         return self._bends.exists(lane, self.along)
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at the current tick; with imperfect sight, vehicles may be late or missing."""
         bends, record, places, count = self._bends, self._record, self._places, len(self._sizes)
         row = tick * count * COLUMNS
         x, y, heading, speed = record[row], record[row + 1], record[row + 2], record[row + 3]
-        bends.locate(x, y, heading, places.along(0))
+        bends.locate(x, y, heading, places.along(0))  # the ego first, because the others are relative to it
         own, across = bends.along, bends.across
         stretch = bends.stretch(own, across)
         self.along = own
@@ -444,7 +397,7 @@ class RoadSensor(Sensor):
         others, ids, lateral, crossing = [], [], [self._drift], []
         then = row
         glimpses: Any = [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
-        if self._sight is not None:
+        if self._sight is not None:  # with imperfect perception, vehicles are seen late, with errors, or not at all
             before = max(0, tick - self._sight.delay(self._physics_hz))
             then = before * count * COLUMNS
             glimpses = self._sight.glimpses(self._states(then), self._seed, tick)
@@ -456,6 +409,7 @@ class RoadSensor(Sensor):
             if way is not None:
                 way.locate(its_x, its_y, along)
                 along = way.along
+            # NPCs on the ego's path are in `others`, all others in `crossing`
             if places.is_on_way(way, its_x, its_y, its_heading, along):
                 others.append(self._state(npc + 1, its_speed, record[at + 5], own, stretch))
                 ids.append(npc)
@@ -495,21 +449,17 @@ class RoadSensor(Sensor):
         )
 
     def _state(self, number: int, speed: float, steering: float, own: float, stretch: float) -> VehicleState:
-        """Return the state, on the straightened road, of the vehicle that was located last.
-
-        Its velocity across its lane [m/s] is stored for the observation's ``lateral_velocities``. The ego's place and
-        the stretch there are ``own`` [m] and ``stretch``.
-        """
+        """Return the state of the last located vehicle, on the straightened road."""
         bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
         along, lane = bends.along, bends.lane
+        # mean of the stretches at both ends
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
-        self._drift = lateral_velocity(to_lane, speed, steering)
+        self._drift = lateral_velocity(to_lane, speed, steering)  # for the observation's lateral_velocities
         y, leaning = bends.in_lanes(lane, along, bends.offset), to_lane - own_bends.lean_at(lane, along)
         return VehicleState(own + driven, y, leaning, speed, lane, length, width)
 
     def _states(self, row: int) -> FloatArray:
-        """Return the states of all vehicles at a row of the record as a sight takes them; the lane is not used."""
         count = len(self._sizes)
         states: FloatArray = np.array(self._record[row : row + count * COLUMNS]).reshape(count, COLUMNS)
         states[:, 4:] = [(0.0, *size) for size in self._sizes]

@@ -1,1 +1,1 @@
-"""Roads: straight roads, ways through networks of lanes, and junctions."""
+"""Roads: straight roads, paths through networks of lanes, and junctions."""

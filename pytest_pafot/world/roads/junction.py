@@ -1,7 +1,7 @@
-"""Ways of other traffic through a network, and the zones in which they meet the ego's way and each other.
+"""Paths of other traffic through a network, and the zones in which they cross or join the ego's path and each other.
 
-A way leads from a section without a predecessor, through consecutive sections, to a section without a successor. Ways
-that start in a section of the ego's way are excluded, because vehicles from there drive on the grid.
+A path leads from a section without a predecessor, through consecutive sections, to a section without a successor. Paths
+that start in a section of the ego's path are excluded, because vehicles from there drive on the grid.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from pytest_pafot.world.roads.network import (
     Shaped,
     is_drivable,
     line_of,
-    wrapped,
+    wrap_angle,
 )
 from pytest_pafot.world.roads.network import way as way_of
 from pytest_pafot.world.roads.road import Pose
@@ -49,35 +49,27 @@ IntArray = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 Section = tuple[str, str]
 
+# the extra width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its path
 WIDER = 1.0
-"""The extra width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its way."""
+# the distance below which boxes touch [m]; without it, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
-"""The distance below which boxes touch [m]. Without it, rounding would decide when roads meet at right angles."""
-ONE_LANE, ONE_DIRECTION = 0.5, 0.1
-"""The largest distance and angle between two ways at which they are in the same lane [m, rad]."""
+ONE_LANE, ONE_DIRECTION = 0.5, 0.1  # the largest distance and angle between two paths in the same lane [m, rad]
+# the distance from a path and the angle to it up to which a vehicle obstructs vehicles on it [m, rad]
 BESIDE, ALIGNED = 1.0, 0.3
-"""The distance from a way and the angle to the way up to which a vehicle obstructs vehicles on that way [m, rad]."""
-APPROACH = 20.0
-"""The distance of both vehicles before the zone at which the direction of approach is determined [m]."""
+APPROACH = 20.0  # the distance of both vehicles before the zone at which the direction of approach is determined [m]
+# Limits for the angle between two directions of approach [rad]. Above the first, vehicles come from opposite
+# directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
+# circulating vehicle comes from the left.
 OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
-"""Limits for the angle between two vehicles' directions of approach [rad]. Above the first, they come from opposite
-directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
-circulating vehicle comes from the left."""
-STRAIGHTER = 0.2
-"""The difference of the turning angles of two merging ways above which the way that turns less is the main lane [rad].
-"""
-LEAD = 6.0
-"""The time that an ego of constant speed needs from its start to its first zone, if its lane is long enough [s]."""
-MOST_WAYS = 64
-"""The largest number of ways of a network that are used, the shortest first. A network of city blocks has countless."""
-COARSE = 4
-"""The number of points that are first treated as one when two ways are compared, which is faster."""
-DRAWN = 4
-"""The number of points after which a point of a way is stored for pictures."""
+STRAIGHTER = 0.2  # of two merging paths, the main lane turns less than the other by more than this angle [rad]
+LEAD = 6.0  # the time of an ego at constant speed from its start to its first zone, if its lane is long enough [s]
+MOST_WAYS = 64  # the largest number of paths that are used, the shortest first; city blocks have countless
+COARSE = 4  # the number of points that are first treated as one when two paths are compared, which is faster
+DRAWN = 4  # every so many points, a point of a path is stored for pictures
 
 
 class Course(NamedTuple):
-    """The centre [m] and the heading [rad] of a vehicle that follows a way, at each point."""
+    """The centre [m] and the heading [rad] of a vehicle that follows a path, at each point."""
 
     x: FloatArray
     y: FloatArray
@@ -88,37 +80,24 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossingWay:
-    """A way of other traffic with its geometry.
-
-    Attributes:
-        way: its zone and its speeds.
-        line: the points of its centre line, from the entry to the exit.
-        column: its lane at each point; ``part`` is the index of the lane in ``Trace.lanes``.
-        middle: the place in its zone at which it is nearest to the ego's way, or enters the ego's lane if it merges
-            [m].
-        shaped: returns the lane for NPCs with given limits and a given length [m].
-        along_ego: the place along the ego's way of each of its points [m]; NaN for points that are not near the ego's
-            way or have a different direction.
-    """
+    """A path of other traffic with its geometry."""
 
     way: Way
-    line: Line
-    column: Column
-    middle: float
-    shaped: Shaped
-    along_ego: list[float]
+    line: Line  # from the entry to the exit
+    column: Column  # its lane at each point
+    middle: float  # where it is nearest to the ego's path, or enters the ego's lane if it merges [m]
+    shaped: Shaped  # makes the lane for the limits and the length of an NPC
+    along_ego: list[float]  # position of each point along the ego's path [m]; NaN if far from it or turned away
 
-    def of(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
-        """Return the way for an NPC that is a given vehicle; ``limits`` are those of all NPCs.
-
-        A long vehicle enters its zone earlier and leaves it later, as measured at its centre.
-        """
+    def for_vehicle(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
+        """Return the path for a type of vehicle."""
         if vehicle == CAR:
             return self
         own = limits.of(vehicle)
         if (own, vehicle.length) in self._of_others:
             return self._of_others[own, vehicle.length]
         ((lane,), _) = self.shaped(own, vehicle.length)
+        # a long vehicle, as measured at its centre, enters its zone earlier and leaves it later
         zone = replace(self.way.zone, npc=longer(self.way.zone.npc, vehicle.length - CAR.length))
         way = replace(self.way, zone=zone, speeds=_driven(np.array(lane.speed), own))
         made = replace(self, way=way, column=replace(lane, part=self.column.part))
@@ -131,7 +110,6 @@ class CrossingWay:
 
     @cached_property
     def track(self) -> Track:
-        """The same way in plain numbers, for the kernel."""
         line, of = self.line, self.column
         driven = of.direction, of.lean, of.speed, of.sharpest, of.part
         return Track(line.x.tolist(), line.y.tolist(), *driven, self.along_ego, self.way.zone.npc[0])
@@ -139,33 +117,26 @@ class CrossingWay:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Junction:
-    """The ways of a network on which other traffic meets the ego's way.
+    """The paths of a network on which other traffic crosses or joins the ego's path."""
 
-    Attributes:
-        crossings: the zones and ways from which a search samples.
-        ways: the ways by name.
-        meetings: for the names of two ways, the stretches of both in which they meet; the ego's way is named ``""``.
-        shared: for the names of two ways, the place along the first way of each point of the second [m]; NaN for points
-            that are not on the first way. Pairs without a shared place are absent.
-    """
-
-    crossings: Crossings
+    crossings: Crossings  # from which a search samples
     ways: Mapping[str, CrossingWay]
+    # by two names, the sections of both paths in which they conflict; EGOS names the ego's path
     meetings: Mapping[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]]
+    # by two names, the position along the first path of each point of the second, or NaN [m]
     shared: Mapping[tuple[str, str], array[float]]
 
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
-        """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
-        return self
+        return self  # immutable, and highway-env deep-copies the road to predict vehicles
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
-        """Return the stretches in which two ways meet; either may be the ego's way."""
+        """Return the sections of both paths in which they conflict."""
         if (theirs, mine) in self.meetings:
             return [(own, its) for its, own in self.meetings[theirs, mine]]
         return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
-        """Return the place along the way ``mine`` of each point of ``theirs`` [m]; None if the two share no lane."""
+        """Return the position along ``mine`` of each point of ``theirs`` [m], or None if they share no lane."""
         if mine == theirs and mine != EGOS:
             return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
         return self.shared.get((mine, theirs))
@@ -173,58 +144,48 @@ class Junction:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JunctionRoad(NetworkRoad):
-    """The ego's way through a network, and the ways on which other traffic meets it.
-
-    Attributes:
-        junction: these ways; the other attributes are those of :class:`NetworkRoad`.
-    """
+    """The ego's path through a network, and the paths of other traffic that cross or join it."""
 
     junction: Junction
 
     @property
     def crossings(self) -> Crossings:
-        """The zones and ways from which a search samples."""
         return self.junction.crossings
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
-        """Return the way of each NPC that crosses, as its vehicle drives there, None for each other NPC."""
+        """Return the path of each crossing NPC for its type of vehicle, and None for the other NPCs."""
         return [
-            None if each is None else self.junction.ways[each.zone].of(scenario.vehicle_of(npc), self.limits)
+            None if each is None else self.junction.ways[each.zone].for_vehicle(scenario.vehicle_of(npc), self.limits)
             for npc, each in enumerate(scenario.crossings)
         ]
 
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
-        """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
         return tuple(None if way is None else way.way.zone for way in self.ways(scenario))
 
     def tracks(self, scenario: Scenario) -> list[Track | None]:
-        """Return the own way of each NPC that crosses, None for each other NPC."""
         return [None if way is None else way.track for way in self.ways(scenario)] or super().tracks(scenario)
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
-        """Return whether a vehicle can follow all bends along the ego's way, or along the way of a zone if given."""
         return super().can_drive(vehicle) if zone is None else vehicle.can_follow(self.crossings.ways[zone].sharpest)
 
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:
-        """Make the director of the NPCs: of those that cross, and of those around the ego if there are any."""
         if not scenario.crossings:
             return super().director(scenario, limits, cells, **common)
         grid = None
-        if None in scenario.crossings:
+        if None in scenario.crossings:  # the NPCs around the ego
             others = scenario.of_npcs(npc for npc, crossing in enumerate(scenario.crossings) if crossing is None)
             grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        """Return where an NPC goes along its own way or its lane."""
         return body.track.pose if isinstance(body, CrossingNpc) else super().foresight(body)
 
 
 def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
-    """Return the ego's way with the ways that meet it in an environment; the same road if there are none.
+    """Add the paths that cross or join a road, or return the same road if there are none.
 
     The ego may start further back, so that it has time before the first of them.
     """
@@ -236,7 +197,6 @@ def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTy
 
 
 def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> Junction | None:
-    """Return the ways on which other traffic meets the ego's way in an environment; None if there are none."""
     own = _course(road.line, road.columns[road.ego_lane])
     ways, longer_by = _ways(env.road.network, road, own, limits), ego.length - CAR.length
     if not ways:
@@ -245,6 +205,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
         for name, each in ways.items():
             zone = replace(each.way.zone, ego=longer(each.way.zone.ego, longer_by))
             ways[name] = replace(each, way=replace(each.way, zone=zone))
+    # the ego starts in the same lane, but early enough for its first zone
     first = min(each.way.zone.ego[0] for each in ways.values())
     lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0]) * STEP
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
@@ -252,7 +213,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
     meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
         pairs = near_pairs(a, b)
-        for mine, theirs, places in (
+        for mine, theirs, places in (  # where one vehicle may lead another, in either direction
             (one, other, _places(a, b, pairs, BESIDE, ALIGNED)),
             (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
         ):
@@ -273,7 +234,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
-    """Return the ways that meet the ego's way ahead of its start, by name; the shortest one for each name."""
+    """Return the paths that cross or join the ego's path ahead of its start, the shortest one for each name."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
         name = f"{path[0][0]}>{path[-1][1]}"
@@ -290,7 +251,7 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         column = replace(lane, part=parts)
         course = _course(line, column)
         met = next(meetings_of(own, course, near_pairs(own, course)), None)
-        if met is not None and met.stretches[0][0] > road.start:
+        if met is not None and met.stretches[0][0] > road.start:  # only conflicts ahead of the ego's start matter
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
             way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits), sharpest=max(column.sharpest))
             middle = met.closest[1] * STEP
@@ -299,15 +260,16 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
 
 
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
-    """Yield all ways through a network as sections, the shortest first; no way visits a node twice."""
+    """Yield all paths through a network as sections, the shortest first, without visiting a node twice."""
     follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
-    for section, following in follow.items():
+    for section, following in follow.items():  # which sections follow each other, by any of their lanes
         lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
         for end, lanes in network.graph.get(section[1], {}).items():
             nexts = [Piece((section[1], end, 0), lane, 0.0, float(lane.length)) for lane in lanes]
             if any(is_drivable(last, each) for last in lasts for each in nexts):
                 following.append((section[1], end))
     led_to = {section for following in follow.values() for section in following}
+    # breadth first, from sections without a predecessor
     queue: deque[tuple[Section, ...]] = deque((section,) for section in follow if section not in led_to)
     found = 0
     while queue and found < MOST_WAYS and len(queue) < MOST_WAYS**2:
@@ -320,7 +282,7 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
-    """Return the index in ``Trace.lanes`` of the lane at each point of a way."""
+    """Return the index in ``Trace.lanes`` of the lane at each point of a path."""
     others = {index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)}
     parts = np.full(len(line.x), -1)
     for number, piece in enumerate(pieces):
@@ -347,6 +309,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]
     y = a.y[::COARSE, None] - b.y[::COARSE]
+    # first groups of points, then the points of the groups that are near
     i, j = np.nonzero(x * x + y * y < wide * wide)
     step = np.arange(COARSE)
     i = (i[:, None, None] * COARSE + step[:, None]).repeat(COARSE, axis=2).ravel()
@@ -356,7 +319,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
     x, y = a.x[i] - b.x[j], a.y[i] - b.y[j]
     is_near = x * x + y * y < reach * reach
     i, j = i[is_near], j[is_near]
-    order = np.lexsort((i, j))
+    order = np.lexsort((i, j))  # by the second course, then by the first
     return i[order], j[order]
 
 
@@ -377,13 +340,7 @@ def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: f
 
 
 class Meeting(NamedTuple):
-    """A meeting of two ways.
-
-    Attributes:
-        stretches: the stretches of both ways in which wide boxes can touch [m].
-        closest: the points of both ways at which they are nearest; if they merge, the first points in the same lane.
-        merges: true if both ways continue in one lane.
-    """
+    """A conflict of two paths."""
 
     stretches: tuple[Stretch, Stretch]
     closest: tuple[int, int]
@@ -391,14 +348,10 @@ class Meeting(NamedTuple):
 
 
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
-    """Yield the places at which two ways meet, in the order of the second way.
-
-    If two ways merge, the meeting ends a vehicle's length after the first point in the same lane. If they part, it
-    begins a vehicle's length before the last such point. Ways side by side, on which vehicles touch only if widened, do
-    not meet.
-    """
+    """Yield the conflicts of two paths in the order of the second path."""
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
+    # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])
         for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):  # runs along the first way
@@ -409,13 +362,15 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
 
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
-    turned = np.abs(wrapped(b.heading[j] - a.heading[i]))
+    turned = np.abs(wrap_angle(b.heading[j] - a.heading[i]))
     together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (np.abs(y * cos - x * sin) < ONE_LANE)
     together &= turned < ONE_DIRECTION
     nearest = int(np.argmin(x * x + y * y))
     first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
     length = round(CAR.length / STEP)
     if together.any():
+        # If they merge, the conflict ends a vehicle's length after the first point in the same lane. If they part, it
+        # starts a vehicle's length before the last such point.
         begins, ends = np.flatnonzero(together)[[0, -1]]
         if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they merge
             nearest = int(begins)
@@ -434,14 +389,12 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
 
 
 def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
-    """Return the place along the way ``a`` of each point of the way ``b`` [m].
-
-    It is NaN for points that are farther than ``beside`` from the way ``a`` [m], or turned more than ``turned`` [rad].
-    """
+    """Return the position along path ``a`` of each point of path ``b`` [m], or NaN if it is not near."""
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
-    fits = (aside < beside) & (np.abs(wrapped(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
+    # `beside` [m] and `turned` [rad] limit the distance and the angle
+    fits = (aside < beside) & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
     order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest is written last and so remains
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
@@ -449,10 +402,7 @@ def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: floa
 
 
 def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
-    """Return the speeds at which a vehicle drives along a way, given its desired speed at each point [m/s].
-
-    The two differ because the speed control lags behind, both before and after a bend.
-    """
+    """Return the speeds along a path, given the desired speeds, with the lag of the speed control [m/s]."""
     wanted = speeds.tolist()
     driven = wanted[:1]
     for speed in wanted[1:]:
@@ -463,9 +413,8 @@ def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
 
 
 def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting) -> Zone:
-    """Return the zone in which a way with the given lanes meets the ego's way."""
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
-    origin = _origin(wrapped(float(line.heading[there] - road.line.heading[here])))
+    origin = _origin(wrap_angle(float(line.heading[there] - road.line.heading[here])))
     kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
     return Zone(
         way=name,
@@ -479,7 +428,7 @@ def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], 
 
 
 def _origin(turned: float) -> Origin:
-    """Return the origin of a vehicle whose direction is turned to the right of the ego's by an angle [rad]."""
+    """Return where a vehicle comes from, given the angle from the ego's direction to its direction [rad]."""
     if abs(turned) > OPPOSITE:
         return "ahead"
     if abs(turned) < ALONGSIDE:
@@ -490,21 +439,18 @@ def _origin(turned: float) -> Origin:
 def _holder(
     network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
 ) -> Holder:
-    """Return the holder of priority at a meeting of two ways, by the lanes on which they arrive.
-
-    If the network has highway-env's priorities, they decide. Otherwise a circulating vehicle has priority over an
-    entering one, and in a merging zone the main lane, which turns less, has priority over the joining lane.
-    """
+    """Return who has priority in a conflict of two paths."""
     own, other = (
         _lane_before(line, lanes, point, {index[:2] for index in others})
         for (line, lanes), (_, others), point in zip((ego, npc), (npc, ego), met.closest, strict=True)
     )
     priorities = {getattr(lane, "priority", 0) for lane in network.lanes_list()}
-    if len(priorities) > 1:
+    if len(priorities) > 1:  # highway-env's priorities decide if the network has them
         mine, theirs = (getattr(network.get_lane(index), "priority", 0) for index in (own, other))
     else:
+        # else a circulating vehicle has priority over an entering one
         mine, theirs = _circulates(network, own), _circulates(network, other)
-        if mine == theirs and met.merges:
+        if mine == theirs and met.merges:  # and in a merging zone, the main lane, which turns less
             ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
             bends = [abs(line.heading[b] - line.heading[a]) for (line, _), (a, b) in zip((ego, npc), ends, strict=True)]
             mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
@@ -512,7 +458,7 @@ def _holder(
 
 
 def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
-    """Return the lane of a way at a point, or the last lane before it that is not shared with the other way."""
+    """Return the lane of a path at a point, or the last lane before it that is not shared with the other path."""
     number = int(line.piece[point])
     while number > 0 and lanes[number][:2] in others:
         number -= 1
@@ -520,7 +466,7 @@ def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set
 
 
 def _circulates(network: Any, lane: LaneIndex) -> bool:
-    """Return whether a path leads from the end of a lane back to its beginning."""
+    """Return whether the road leads from the end of a lane back to its start."""
     seen, queue = {lane[1]}, deque([lane[1]])
     while queue:
         for end in network.graph.get(queue.popleft(), {}):

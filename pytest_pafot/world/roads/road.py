@@ -1,7 +1,6 @@
-"""What a run needs of its road: places in the grid's coordinates, along the ego's way and across its lanes.
+"""The base class of roads in the grid's coordinates, which are along the ego's path and across its lanes.
 
-Each kind of road derives from :class:`Road`, in a file of its own. Whoever needs something of a road asks the road, and
-does not look at its class.
+Each kind of road derives from :class:`Road`, in a separate file. Other code never checks the class of a road.
 """
 
 from __future__ import annotations
@@ -28,23 +27,20 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
+"""How a different road conflicts with the ego's path. A road that only leaves the path does not conflict."""
 
 Pose = tuple[float, float, float]
 """World x [m], y [m] and heading [rad]."""
 
 
 class Road(ABC):
-    """A road in the grid's coordinates.
-
-    The first methods are about places, the next ones about the starts of a run, and the last ones make the parts of a
-    run. The defaults are those of a road on which the ego may start in any lane, and on which nobody crosses.
+    """A road in the grid's coordinates. By default the ego may start in any lane, and no traffic crosses.
 
     Attributes:
-        lanes: all lanes in the form of a trace; first those along the ego's way, from the left.
+        lanes: all lanes in the form of a trace; first those along the ego's path, from the left.
         lane_width: the width of the ego's lane at the start [m].
         speed_limit: the speed limit of the fastest lane [m/s].
-        is_straight: True if an ego that leaves the road drives on beside it; otherwise the run ends there.
+        is_straight: true if an ego that leaves the road continues next to it, false if the run ends there.
     """
 
     lanes: tuple[Lane, ...]
@@ -54,26 +50,26 @@ class Road(ABC):
 
     @property
     def length(self) -> float:
-        """The length of the road if runs must end before it does [m]; infinite if they end where it ends."""
+        """The distance that a run must not exceed [m], or infinity if a run may end at the end of the road."""
         return math.inf
 
     @property
     def prescribed(self) -> tuple[int, float] | None:
-        """The lane and the speed [m/s] with which the ego must start; None if it may start with any."""
+        """The lane and the speed [m/s] at which the ego must start, or None if both can be chosen."""
         return None
 
     @property
     def unused(self) -> frozenset[Meeting]:
-        """The kinds of meetings of the ego's way with roads on which NPCs never drive."""
+        """The kinds of conflicts with roads on which NPCs never drive."""
         return frozenset()
 
     @property
     def crossings(self) -> Crossings | None:
-        """The ways on which other traffic meets the ego's way; None if there are none."""
+        """The paths of other traffic that cross or join the ego's path, or None."""
         return None
 
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
-        """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
+        """Return the zone of each crossing NPC, and None for the other NPCs; empty if no NPC crosses."""
         return ()
 
     # Places.
@@ -81,30 +77,29 @@ class Road(ABC):
     @property
     @abstractmethod
     def lane_count(self) -> int:
-        """The number of lanes along the ego's way; some may exist only in places."""
+        """The number of lanes along the ego's path, some of which may be shorter."""
 
     @property
     def starts_at_origin(self) -> bool:
-        """True if world coordinates and road coordinates are the same."""
         return False
 
     def centre(self, lane: int) -> float:
-        """Return the nominal position of a lane's centre across the road [m]."""
+        """Return the nominal lateral position of a lane's centre [m]."""
         return lane * self.lane_width
 
     @abstractmethod
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
-        """Return the pose of a vehicle on the centre of a lane, at a place along the road [m]."""
+        """Return the pose of a vehicle on the centre of a lane, at a position along the road [m]."""
 
     @abstractmethod
     def has_lane(self, lane: int, along: float) -> bool:
-        """Return whether an NPC can start in a lane at a place along the road [m]."""
+        """Return whether an NPC can start in a lane at a position along the road [m]."""
 
     # Starts.
 
     @abstractmethod
     def ego_start(self, headway: float, clearance: float) -> float:
-        """Return the ego's place along the road at the start [m], for NPCs with this headway [s] and clearance [m]."""
+        """Return the ego's start along the road [m], for NPCs with this headway [s] and clearance [m]."""
 
     @property
     @abstractmethod
@@ -114,18 +109,21 @@ class Road(ABC):
     @property
     @abstractmethod
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """The words of an error on the ego's lane: the lane that it expects, and the lanes that there are."""
+        """The words of an error about the ego's lane: which lane is expected, and which lanes exist."""
 
     @abstractmethod
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
-        """Return the cells around the ego's start in a lane that NPCs can start in, with ``distance`` to a row [m]."""
+        """Return the cells around the ego's start in which NPCs can start.
+
+        ``distance`` is the distance between rows [m].
+        """
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
-        """Return whether a vehicle can follow all bends along the ego's way, or along the way of a zone if given."""
+        """Return whether a vehicle can follow all bends along the ego's path, or along the path of a zone."""
         return True
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
-        """Return the speed with which an NPC starts that is asked to start with ``wanted`` [m/s]."""
+        """Return the possible start speed of an NPC for a requested speed [m/s]."""
         return wanted
 
     # The parts of a run.
@@ -134,7 +132,7 @@ class Road(ABC):
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:
-        """Make the director of the NPCs, which may start in ``cells``; for ``common``, see :class:`Director`."""
+        """Make the director of the NPCs, which may start in ``cells``."""
 
     @abstractmethod
     def places(
@@ -147,15 +145,10 @@ class Road(ABC):
         ticks: int,
         stock_road: Callable[[], Any],
     ) -> Places:
-        """Make the places of the vehicles of a run.
+        """Make the positions of the vehicles of a run on this road.
 
-        Args:
-            vehicles: the vehicles in world coordinates, the ego first.
-            bodies: the same vehicles in road coordinates.
-            scenario: the scenario.
-            starts: each vehicle's place along its way at the start [m].
-            ticks: the largest number of ticks of the run.
-            stock_road: returns the road as a road of highway-env.
+        ``vehicles`` are in world coordinates and ``bodies`` in road coordinates, both with the ego first. ``starts``
+        has their starts along their paths [m]. ``stock_road`` returns the road as a road of highway-env.
         """
 
     @abstractmethod
@@ -168,37 +161,24 @@ class Road(ABC):
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
-        """Make the maker of a planner's observations.
+        """Make the sensor of a planner.
 
-        Args:
-            places: what :meth:`places` has made.
-            record: rows of seven numbers for each vehicle at each tick.
-            scenario: the scenario.
-            rates: ticks per second, and ticks between decisions.
-            sight: the sight of the planner; None for perfect sight.
-            ego: what vehicle the ego is.
+        ``rates`` are the ticks per second and per decision.
         """
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        """Return where an NPC goes by a place along its way; None if nobody on this road predicts it."""
+        """Return a function from an NPC's position along its path to its pose, or None if it is not predicted."""
         return None
 
 
 def ego_start(headway: float, clearance: float) -> float:
-    """Return the ego's place along a straight road at the start [m], with room behind it for NPCs at any speed."""
+    """Return the ego's start along a straight road [m], with room behind it for NPCs at any speed."""
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 @dataclass(frozen=True)
 class StraightRoad(Road):
-    """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y).
-
-    Attributes:
-        lanes: the lanes from the left, at least one.
-        lane_width: the width of every lane [m].
-        speed_limit: the speed limit of the fastest lane [m/s].
-        grid: the lanes in road coordinates.
-    """
+    """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y)."""
 
     is_straight = True
 
@@ -232,57 +212,47 @@ class StraightRoad(Road):
 
     @property
     def lane_count(self) -> int:
-        """The number of lanes."""
         return len(self.lanes)
 
     @property
     def length(self) -> float:
-        """The length of the lanes [m]."""
         return self.lanes[0].length
 
     @property
     def starts_at_origin(self) -> bool:
-        """True if world coordinates and road coordinates are the same."""
         return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """Return the place along the road [m], to the right of lane 0's centre [m], and the angle to the road [rad]."""
+        """Return the position along the road and to the right of lane 0 [m], and the angle to the road [rad]."""
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
-        """Return the pose of a point on the centre of a lane."""
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
-        """Return the cells whose lane exists around an ego in the given lane."""
+        """Return the cells that have a lane, for an ego in a given lane."""
         return self._cells[ego_lane]
 
     def has_lane(self, lane: int, along: float) -> bool:
-        """Return whether a lane exists, with room for an NPC at both ends of the road."""
         return 0 <= lane < self.lane_count and CAR.length < along < self.length - CAR.length
 
     def ego_start(self, headway: float, clearance: float) -> float:
-        """Return the ego's place along the road at the start [m]."""
         return ego_start(headway, clearance)
 
     @property
     def start_lanes(self) -> range:
-        """All lanes."""
         return range(self.lane_count)
 
     @property
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """The words of an error on the ego's lane: see the base class."""
         return f"a lane from 0 to {self.lane_count - 1}", f"the road has {self.lane_count} lanes"
 
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
-        """Return the cells whose lane exists around an ego in the given lane."""
         return self._cells[lane]
 
     def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
-        """Make the director of the NPCs."""
         return Director(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
 
     def places(
@@ -295,7 +265,6 @@ class StraightRoad(Road):
         ticks: int,
         stock_road: Callable[[], Any],
     ) -> Places:
-        """Make the places of the vehicles of a run, which follow from their coordinates alone."""
         return Places(vehicles, bodies, self.grid, *self._origin)
 
     def sensor(
@@ -307,7 +276,6 @@ class StraightRoad(Road):
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
-        """Make the maker of a planner's observations."""
         sizes = [(each.length, each.width) for each in places.vehicles]
         observer = Observer(record, sizes, self.grid, self.speed_limit, *rates, *self._origin)
         return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed)

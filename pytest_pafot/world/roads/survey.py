@@ -1,4 +1,4 @@
-"""The construction of a :class:`NetworkRoad` from a highway-env environment: the ego's way and the lanes next to it."""
+"""The construction of a :class:`NetworkRoad` from an environment: the ego's path and the lanes next to it."""
 
 from __future__ import annotations
 
@@ -28,36 +28,26 @@ from pytest_pafot.world.roads.network import (
     leans,
     line_of,
     sharpest_ahead,
-    wrapped,
+    wrap_angle,
 )
 from pytest_pafot.world.roads.network import way as way_of
 
-SHORTEST_LANE = 10.0
-"""The least length of a lane next to the way; the grid ignores shorter lanes [m]."""
-BEYOND_ENDS = 0.5
-"""The distance beyond a lane's ends up to which the lane is still next to the way [m]."""
-SAME_DIRECTION = 0.5
-"""The largest angle between two lanes at which they lead in the same direction [rad]."""
-SAME_LANE = 1.0
-"""The largest sideways step between neighbouring points at which a lane is still continuous [m]."""
-BRIDGED = 10.0
-"""The longest interruption of a lane, such as between two sections, that is bridged [m]."""
-EVENED = 2.0
-"""The length scale over which sideways steps of a lane are rounded off [m]."""
-LANE_CHANGE = 25.0
-"""The length of a lane change at the speeds at which bends matter [m]."""
-STOP_BEFORE_END = CAR.length / 2 + 1.5
-"""The distance between a car's centre and the end of its lane when it stops there [m]."""
-POINT_STEP = 2.0
-"""The distance between the points of a lane in a trace [m]."""
-ROOM_BEHIND = 150.0
-"""The length of the way behind the ego's start [m]."""
+SHORTEST_LANE = 10.0  # shorter lanes next to the path are ignored by the grid [m]
+BEYOND_ENDS = 0.5  # distance past a lane's ends up to which the lane is still next to the path [m]
+SAME_DIRECTION = 0.5  # largest angle between two lanes in the same direction [rad]
+SAME_LANE = 1.0  # largest sideways step between neighbouring points of a continuous lane [m]
+BRIDGED = 10.0  # longest interruption of a lane that is bridged, for example between two sections [m]
+EVENED = 2.0  # length scale over which sideways steps of a lane are rounded off [m]
+LANE_CHANGE = 25.0  # length of a lane change at the speeds at which bends matter [m]
+STOP_BEFORE_END = CAR.length / 2 + 1.5  # distance of a car's centre from the end of its lane when it stops there [m]
+POINT_STEP = 2.0  # distance between the points of a lane in a trace [m]
+ROOM_BEHIND = 150.0  # length of the path behind the ego's start [m]
 
 Flags = npt.NDArray[np.bool_]
 
 
 class _Strip:
-    """A lane next to the ego's way that has the same number everywhere; arrays have an entry per point of the line."""
+    """A lane next to the ego's path that keeps its number. Arrays have an entry per point of the line."""
 
     def __init__(self, points: int) -> None:
         self.exists = np.zeros(points, dtype=bool)
@@ -67,16 +57,16 @@ class _Strip:
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     """Make the road of an environment after its reset.
 
-    ``ahead`` is the greatest distance that a vehicle may drive [m]; ``name`` stands for the environment in errors.
+    ``ahead`` is the largest distance that a vehicle may drive [m]. ``name`` is the environment's name in errors.
 
     Raises:
-        WorldError: if the grid cannot be used on the road; the message says why.
+        WorldError: if the grid cannot be used on the road.
     """
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
     pieces, first = way_of(network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND)
     line, speed = line_of(pieces), float(ego.speed)
-    strips = _strips(network, pieces, line, speed)
+    strips = _strips(network, pieces, line, speed)  # the line is the ego's path, and the strips are the lanes along it
     curvature = curvature_of(line)
     worst = int(np.abs(curvature).argmax())
     if abs(curvature[worst]) > TIGHTEST:
@@ -88,6 +78,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
             f"y = {line.y[worst]:.0f} m",
         )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
+    # made again for each type of NPC
     shaped = partial(_columns, line, strips, is_dead_end=is_dead_end(network, pieces[-1]))
     columns, lanes = shaped(limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
@@ -110,7 +101,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     if road.end - road.start < 2 * CAR.length:
         raise WorldError(
             field=name,
-            expected="a road that goes on ahead of the ego's start",
+            expected="a road that continues ahead of the ego's start",
             received=f"a road that ends {road.end - start:.0f} m ahead",
             fix="give the ego a route, or a start further back",
         )
@@ -118,27 +109,27 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
 
 
 def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
-    """Return the lane in which the ego starts, and its place in that lane [m]."""
     if ego is None or not network.lanes_list():
         raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without them")
     index = network.get_closest_lane_index(ego.position, ego.heading)
     lane = network.get_lane(index)
     at, offset = (float(value) for value in lane.local_coordinates(ego.position))
-    turned = abs(wrapped(float(ego.heading) - float(lane.heading_at(at))))
+    turned = abs(wrap_angle(float(ego.heading) - float(lane.heading_at(at))))
     is_beside = abs(offset) > float(lane.width_at(at)) / 2 + 1e-6 or not -1e-6 <= at <= lane.length
-    if is_beside or turned > math.pi / 4:
+    if is_beside or turned > math.pi / 4:  # the grid runs along the ego's lane
         raise WorldError(
             field=name,
-            expected="an ego that starts on a lane and in its direction, because the grid runs along its lane",
+            expected="an ego that starts in a lane and in the direction of that lane, because the grid follows it",
             received=f"an ego {abs(offset):.1f} m from the centre of the nearest lane {index}, at an angle of "
             f"{math.degrees(turned):.0f} degrees",
-            fix="free areas such as parking lots have no grid",
+            fix="open areas such as parking lots have no grid",
         )
     return index, min(max(at, 0.0), float(lane.length))
 
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
-    """Return the place along the line of a point of a piece [m]."""
+    """Return the position along the line of a point of a piece [m]."""
+    # points of other pieces are excluded by a large distance
     distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
@@ -147,7 +138,7 @@ def _place(line: Line, piece: int, point: FloatArray) -> float:
 
 
 def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
-    """Return the lanes of the way by their number relative to the ego's way, negative to the left."""
+    """Return the lanes of the path by their number relative to the ego's path, negative to the left."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
         for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
@@ -158,7 +149,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
             strip.across[point] = across
             strip.limit[point] = max(lane.speed_limit or 0.0, ego_speed)
             strip.width[point] = lane.width_at(longitudinal)
-    for number in [each for each in strips if each != 0]:
+    for number in [each for each in strips if each != 0]:  # the ego's own lane is the line itself
         _bridge(strips[number])
         _smooth(strips[number])
         _drop_broken(strips[number], line)
@@ -166,7 +157,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
-    """Return each lane's distance across, the lane, and the place in it at a point of the line, by lane number."""
+    """Return, by lane number, the distance across, the lane, and the position in it at a point of the line."""
     x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
     place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
     origin, end, own = piece.index
@@ -176,18 +167,18 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
         reaches = -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS
         if number == own:
             found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
-        elif reaches and abs(wrapped(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION:
+        elif reaches and abs(wrap_angle(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION:
             there_x, there_y = map(float, lane.position(longitudinal, 0))
             found.append(((there_y - y) * cos - (there_x - x) * sin, False, lane, longitudinal))
     if len(found) == 1:
         return {0: (0.0, found[0][2], found[0][3])}
-    found.sort(key=lambda each: each[0])
+    found.sort(key=lambda each: each[0])  # from the left, with the ego's lane as number 0
     own_rank = next(rank for rank, each in enumerate(found) if each[1])
     return {rank - own_rank: (across, lane, at) for rank, (across, _, lane, at) in _neighbours(found, own_rank)}
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the ego's lane and the lanes to either side, as long as each adjoins the previous one."""
+    """Yield the ego's lane and the adjoining lanes on either side."""
     yield own, found[own]
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
@@ -199,7 +190,6 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
 
 
 def _bridge(strip: _Strip) -> None:
-    """Bridge the short interruptions of a lane between sections."""
     for before, after in pairwise(_parts(strip.exists)):
         last, following = before[-1], after[0]
         is_near = (following - last) * STEP <= BRIDGED
@@ -211,7 +201,6 @@ def _bridge(strip: _Strip) -> None:
 
 
 def _smooth(strip: _Strip) -> None:
-    """Round off the small steps between lanes of consecutive sections."""
     reach = round(3 * EVENED / STEP)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / EVENED) ** 2)
     for part in _parts(strip.exists):
@@ -220,10 +209,10 @@ def _smooth(strip: _Strip) -> None:
 
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
-    """End a lane at large steps, and drop parts that are too short or bend too tightly."""
+    # a step that was too large to bridge or to round off
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
-        is_short = len(part) * STEP < SHORTEST_LANE
+        is_short = len(part) * STEP < SHORTEST_LANE  # parts that are too short or too sharply curved are dropped
         if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
             strip.exists[part] = False
 
@@ -236,12 +225,12 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return x, y, direction and length at each point of a part of a lane; the direction has no jumps of 2 pi."""
+    """Return x, y, direction and length at each point of a part of a lane."""
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
-    # Not wrapped(turned), which rounds differently: runs of saved scenarios would change.
+    # Not wrap_angle(turned), which rounds differently: runs of saved scenarios would change.
     direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     return x, y, direction, lengths
@@ -253,7 +242,7 @@ def curvature_of(line: Line) -> FloatArray:
 
 
 def lone_column(line: Line, pieces: Sequence[Piece], ego_speed: float) -> Shaped:
-    """Return a function that makes the only lane along a line of pieces, for an NPC with some limits and length."""
+    """Return a function that makes the only lane along a line of pieces."""
     strip = _Strip(len(line.x))
     strip.exists[:] = True
     for number, piece in enumerate(pieces):
@@ -262,10 +251,9 @@ def lone_column(line: Line, pieces: Sequence[Piece], ego_speed: float) -> Shaped
 
 
 def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Return the curvature of a lane [1/m], averaged over three points."""
     raw = np.gradient(direction) / np.maximum(np.gradient(lengths), 1e-9)
     padded = np.concatenate([raw[:1], raw, raw[-1:]])
-    return np.convolve(padded, np.full(3, 1 / 3), mode="valid")
+    return np.convolve(padded, np.full(3, 1 / 3), mode="valid")  # the mean of three points
 
 
 def _columns(
@@ -276,10 +264,7 @@ def _columns(
     *,
     is_dead_end: bool = False,
 ) -> tuple[tuple[Column, ...], list[Lane]]:
-    """Return the lanes of the way for driving, and for the trace: the first part of each lane, then all other parts.
-
-    NPCs stop at the end of a lane before the end of the line, and where the ego's lane is a dead end.
-    """
+    """Return the lanes of the path, and the trace's lanes: the first part of each lane, then the other parts."""
     firsts: list[Lane] = []
     others: list[Lane] = []
     columns = []
@@ -301,10 +286,12 @@ def _columns(
             column["lean"][part] = leans(direction, lengths, vehicle_length)
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
+            # NPCs stop where a lane ends before the line, and where the ego's lane is a dead end.
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
             stops = None if goes_on else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
+            # the trace has the first part of each lane first
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
             (others if order else firsts).append(lane)
         columns.append(
@@ -342,32 +329,27 @@ def _other_lane(lane: Any, ego_speed: float) -> Lane:
     return _lane(points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit)
 
 
-SECTION = 5.0
-"""The length of a section [m]."""
-ALMOST = 1e-4
-"""How far a point of a straight lane may be from its place [m]."""
-MOST_OVERLAP = 0.1
-"""The largest share of their width by which neighbouring lanes may overlap."""
-STRAIGHT = 1e-7
-"""The angle between the ends of a section up to which a lane is a straight line there [rad]."""
+SECTION = 5.0  # [m]
+ALMOST = 1e-4  # distance of a point of a straight lane from its exact position [m]
+MOST_OVERLAP = 0.1  # largest overlap of neighbouring lanes as a proportion of their width
+STRAIGHT = 1e-7  # angle between the ends of a section up to which a lane is a straight line there [rad]
 
 
 def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[float, float, float], float] | None:
-    """Return where a straight road of equal lanes begins, and its length [m]; None if the lanes are no such road.
+    """Return the start and the length [m] of a straight road of equal lanes, or None for other lanes.
+
+    The start is the x [m], y [m] and heading [rad] of the leftmost lane.
 
     Args:
-        lines: the points of each centre line from the left, in the direction of driving [m]; shape [points, 2].
+        lines: the points of each centre line from the left, in the direction of driving [m], shape [points, 2].
         width: the width of the lanes [m].
-
-    Returns:
-        World x [m], y [m] and heading [rad] of the beginning of the leftmost lane, and the length of the road.
     """
     first = lines[0]
     heading = math.atan2(*(first[-1] - first[0])[::-1])
     cos, sin = math.cos(heading), math.sin(heading)
     begin, end = 0.0, math.inf
     for number, line in enumerate(lines):
-        moved = line - first[0]
+        moved = line - first[0]  # along and across the first line
         along, across = moved @ np.array([cos, sin]), moved @ np.array([-sin, cos])
         if np.abs(across - number * width).max() > ALMOST or (np.diff(along) <= 0.0).any():
             return None
@@ -381,20 +363,17 @@ def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[flo
 def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = "") -> Any:
     """Make a network of highway-env with a lane along each centre line.
 
-    Args:
-        lines: as for :func:`straight_along`; a lane may be shorter than the longest, next to which it lies.
-        width: the width of the lanes [m].
-        speed_limit: the speed limit [m/s].
-        name: whose lanes they are, for errors.
+    Lines are as for :func:`straight_along`, but may have different lengths. ``name`` is the owner of the lanes in
+    errors.
 
     Raises:
-        WorldError: if the lanes are not from the left, or overlap.
+        WorldError: if the lanes are not in order from the left, or overlap.
     """
     from pytest_pafot.world.stock import CircularLane, RoadNetwork, StraightLane  # noqa: PLC0415  (highway-env)
 
     curves = [_curve(line) for line in lines]
     longest = max(curves, key=len)
-    stations = longest[:: max(1, round(SECTION))]
+    stations = longest[:: max(1, round(SECTION))]  # the ends of sections, at the same positions for all lanes
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
     tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
@@ -405,6 +384,7 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, na
     turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
     network = RoadNetwork()
     common = {"width": width, "speed_limit": speed_limit}
+    # per section and lane, a straight line or a circle through both ends
     for number, (here, there) in enumerate(pairwise(range(len(stations)))):
         for way, turn in zip(ways, turns, strict=True):
             start, end, angle = way[here], way[there], float(turn[there] - turn[here])
@@ -426,32 +406,31 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, na
 
 
 def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, name: str) -> None:
-    """Refuse lanes that are not from the left, or of which two overlap along most of their way."""
     for number, (left, right) in enumerate(pairwise(ways), start=1):
         across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
         if np.isnan(across).all():
             continue
         apart, least, most = float(np.nanmedian(across)), float(np.nanmin(across)), float(np.nanmax(across))
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
-            expected = f"a lane next to lanes[{number - 1}], {width:g} m to the right of it all the way"
-            received = f"one from {least:.1f} to {most:.1f} m to the right of it"
-            fix = "is each line moved across the road, rather than along an axis?"
+            expected = f"a lane {width:g} m to the right of lanes[{number - 1}] along its complete length"
+            received = f"a lane from {least:.1f} to {most:.1f} m to the right"
+            fix = "is each line shifted along an axis instead of across the road?"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < 0.0:
-            expected = "lanes from the left, as a driver sees them"
-            received = f"one {-apart:.1f} m to the left of the lane before it"
-            fix = "is y_is_left wrong, or do the points lead against the way of driving? Otherwise write lanes[::-1]"
+            expected = "lanes from left to right, as a driver sees them"
+            received = f"a lane {-apart:.1f} m to the left of the previous lane"
+            fix = "is y_is_left wrong, or do the points lead backwards? Otherwise write lanes[::-1]"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
                 f"at most {apart:.2f} m, the distance between the centre lines of lanes {number - 1} and {number}"
             )
-            fix = "are lane_width and the points of lanes in the same unit, which metres states?"
+            fix = "are lane_width and the points of lanes in the same unit, as stated by `metres`?"
             raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix)
 
 
 def _slopes(way: FloatArray) -> FloatArray:
-    """Return the direction of a lane at each of its points; NaN where it has none."""
+    """Return the tangent vector of a lane at each of its points."""
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
     if len(known) > 1:  # at its ends, those of a parabola, so that a bend begins as it goes on
@@ -461,7 +440,7 @@ def _slopes(way: FloatArray) -> FloatArray:
 
 
 def _curve(line: FloatArray) -> FloatArray:
-    """Return a point about every metre of a smooth curve through the points of a line (Catmull and Rom 1974)."""
+    """Return a point about every metre of a smooth curve through a line (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     places = np.concatenate(([0.0], np.cumsum(steps)))
     slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
@@ -480,7 +459,7 @@ def _curve(line: FloatArray) -> FloatArray:
 
 
 def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
-    """Return where a curve is next to each station of the longest one, up to a distance [m]; NaN where it is not."""
+    """Return the point of a curve next to each station, or NaN if it is too far away."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):
         ahead = (curve - station) @ direction

@@ -139,7 +139,7 @@ def test_rows_of_finished_runs_are_written_if_another_fails(tmp_path, capsys, mo
     assert [(row["algorithm"], row["run"]) for row in rows_in(tmp_path / "results.csv")] == [("random", "0")]
     assert not (tmp_path / "report.md").exists()
     assert compare(tmp_path, "--algorithms", "random") == BAD_USE
-    assert "expected a folder without the results of a comparison, received" in capsys.readouterr().err
+    assert "expected a folder without the results of a comparison, but " in capsys.readouterr().err
     assert len(rows_in(tmp_path / "results.csv")) == 1
 
 
@@ -172,7 +172,7 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
         "0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
-    assert "**Warning:** the algorithms have different scenarios, so differences" in report
+    assert "**Warning:** the algorithms have different scenarios, so the scenarios may cause differences" in report
     assert f"- random: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in report
     assert f"- random@paper, pafot: {papers}; 2 genes of 10 s\n" in report
     assert "compare: warning: the algorithms have different scenarios" in told
@@ -184,8 +184,8 @@ def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     arguments = ["--duration", "2", "--seconds", "10", "--runs", "2", "--algorithms", "pafot,random"]
     assert compare(tmp_path, "--ads", f"{__name__}:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
-    assert {row[1] for row in found["Distinct failures for which the ego answers"][2:]} == {"0"}
-    assert {row[-1] for row in found["Distinct failures for which the ego answers"][2:]} == {"not reached"}
+    assert {row[1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {"0"}
+    assert {row[-1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {"not reached"}
     assert {row[3] for row in found["All collisions"][2:]} == {"no collision"}
 
 
@@ -200,17 +200,17 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, received 'genetic'"),
-    (["--algorithms", ","], "--algorithms: expected one or more of random, .*, received none"),
-    (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
+    (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, but received 'genetic'"),
+    (["--algorithms", ","], "--algorithms: expected one or more of random, .*, but received none"),
+    (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, but received pafot again"),
     (["--algorithms", "av-fuzzer@soon"],
-     "--algorithms: expected seconds or paper after the @, as in av-fuzzer@15, received"),
+     r"--algorithms: expected a time \[s\] or paper after the @, as in av-fuzzer@15, but received"),
     (["--ads", "constant_speedd"],
      "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
      "module:factory for your own policy, received 'constant_speedd'; did you mean 'constant_speed'"),
     (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
-    (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
-    (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+    (["--runs", "0"], "--runs: expected a whole number, at least 1, but received 0"),
+    (["--seed", "-1"], "--seed: expected a whole number, at least 0, but received -1"),
     (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
     (["--clearance", "-1"], "clearance: expected .* received -1"),
     (["--world", "nowhere-v0"], "nowhere-v0"),
@@ -278,7 +278,7 @@ def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     arguments = ["--ads", f"{__name__}:raising_later", "--algorithms", "pafot,random"]
     assert compare(tmp_path, *arguments) == 0
     report = (tmp_path / "report.md").read_text()
-    head, _, *rows = tables_of(report)["Distinct failures for which the ego answers"]
+    head, _, *rows = tables_of(report)["Distinct failures for which the ego is responsible"]
     assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
     assert "Failures in the search are all collisions, and exceptions and hangs of the ADS." in report
 
@@ -327,7 +327,7 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
 
 @pytest.mark.parametrize(("options", "told"), [
     (["--duration", "5"], "--duration: expected no such option with --world"),
-    (["--algorithms", "random@5"], "expected no seconds after the @ in a simulator of your own, received random@5"),
+    (["--algorithms", "random@5"], "expected no seconds after the @ in a simulator of your own, but received random@5"),
 ])  # fmt: skip
 def test_what_a_simulator_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
     assert compare_in("road", tmp_path, "constant_speed", *options) == BAD_USE

@@ -7,7 +7,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.comparison.run_measures import a12, a12_interval, compared, found_in, log_rank, survival
+from pytest_pafot.comparison.run_measures import a12, a12_interval, effect_size, fisher_p, log_rank, survival
 
 samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
 
@@ -20,14 +20,14 @@ class TestEffect:
 
     @given(samples, samples)
     def test_swapping_samples_mirrors_the_effect_with_same_p(self, x, y):
-        there, back = compared(x, y), compared(y, x)
+        there, back = effect_size(x, y), effect_size(y, x)
         assert there.a12 == pytest.approx(1 - back.a12)
         assert (there.low, there.high) == pytest.approx((1 - back.high, 1 - back.low), abs=1e-6)
         assert there.p == pytest.approx(back.p)
 
     @given(samples, samples)
     def test_interval_contains_the_estimate_and_stays_in_range(self, x, y):
-        effect = compared(x, y)
+        effect = effect_size(x, y)
         assert 0 <= effect.low <= effect.a12 <= effect.high <= 1
 
     @pytest.mark.parametrize(("estimate", "sizes"), [(1.0, (10, 10)), (0.7, (10, 20)), (0.3, (5, 8))])
@@ -42,19 +42,19 @@ class TestEffect:
 
     def test_the_test_is_scipys_two_sided_one(self):
         x, y = [1.0, 4.0, 6.0, 7.0], [2.0, 3.0, 5.0, 0.0]
-        assert compared(x, y).p == scipy.stats.mannwhitneyu(x, y, alternative="two-sided").pvalue
+        assert effect_size(x, y).p == scipy.stats.mannwhitneyu(x, y, alternative="two-sided").pvalue
 
     def test_samples_of_one_value_show_no_difference(self):
-        assert compared([3.0] * 5, [3.0] * 5).p == 1.0
+        assert effect_size([3.0] * 5, [3.0] * 5).p == 1.0
 
     def test_runs_without_any_collision_rank_last(self):
-        effect = compared([40.0, 50.0, 60.0], [math.inf, math.inf, 70.0])
+        effect = effect_size([40.0, 50.0, 60.0], [math.inf, math.inf, 70.0])
         assert effect.a12 == 0.0
         assert effect.p == pytest.approx(0.0765, abs=0.03)
 
 
 def test_ten_of_ten_against_none_has_exact_p():
-    assert found_in((10, 10), (0, 10)) == pytest.approx(2 / math.comb(20, 10))
+    assert fisher_p((10, 10), (0, 10)) == pytest.approx(2 / math.comb(20, 10))
 
 
 class TestSurvival:

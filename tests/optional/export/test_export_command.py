@@ -51,11 +51,11 @@ def test_world_that_is_code_is_named(tmp_path, capsys):
     path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
-    assert "a file contains no code: give the world itself, as in replay(ads, world=...) or by --world\n" in (
+    assert "a file contains no code: pass the world itself, as in replay(ads, world=...) or --world\n" in (
         capsys.readouterr().err
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
-    assert "received a simulator of the class OtherRoad; give it by " in capsys.readouterr().err
+    assert "received a simulator of the class OtherRoad; set it with " in capsys.readouterr().err
     assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
@@ -98,7 +98,7 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
     shutil.copy(FILE, tmp_path / "other")
     assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err
-    assert "received an id that 2 files have; give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
+    assert "an id that occurs in 2 files; give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
 
 
 @pytest.mark.parametrize(("below", "received"), [
@@ -125,13 +125,13 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", *world, "--out", tmp_path) == 0
     told = capsys.readouterr().err
     assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
-    assert told.endswith(f". Is this the policy of its test{asked}?\n")
+    assert told.endswith(f". Did you pass the policy of its test{asked}?\n")
 
 
 @pytest.mark.parametrize(("given", "expected"), [
-    ([], "the world of the file, received ValueError: no such observation; give the policy of the test\n"),
-    (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; give the "
-     "policy of the test, and its world, or no --world if that is data\n"),
+    ([], "the world of the file, received ValueError: no such observation; use the policy of the test\n"),
+    (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; use the "
+     "policy of the test, and its world, or omit --world if it is data\n"),
 ])  # fmt: skip
 def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
     path, data = tmp_path / "front-2-1f3a9c.pafot.yaml", wrong().to_dict() if given else pafot.Highway().to_dict()
@@ -155,7 +155,7 @@ def raising():
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
-     "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
+     "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains"),
     ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
      "xosc-1.0, received 'xslx'"),
     (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),

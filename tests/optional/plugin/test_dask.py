@@ -18,7 +18,7 @@ from tests.plugin.test_workers import summary
 
 pytestmark = pytest.mark.processes
 
-NOTE = "*note: --pafot-dask: workers made the runs"
+NOTE = "*note: --pafot-dask: the workers of the cluster executed the runs"
 
 CONFTEST = """
 import os
@@ -107,7 +107,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
-    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):  # noqa: SIM117
+    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a running scheduler"):  # noqa: SIM117
         with connected("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
 

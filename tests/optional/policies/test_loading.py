@@ -15,7 +15,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pytest_pafot as pafot
-from pytest_pafot.policies.baselines import BaselineAds, BaselineModel, Sb3Policy, pushed, stacking_axis
+from pytest_pafot.policies.baselines import BaselineAds, BaselineModel, Sb3Policy, push_observation, stacking_axis
 from tests.helpers.tables import table
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
@@ -78,7 +78,7 @@ def test_frames_are_last_observations_padded_with_zeros(shape):
         stacked = [size * (3 if index == axis else 1) for index, size in enumerate(shape)]
         frames = None
         for newest in range(len(seen)):
-            frames = pushed(frames, seen[newest], 3, stacked)
+            frames = push_observation(frames, seen[newest], 3, stacked)
             last = [seen[place] if place >= 0 else np.zeros(shape) for place in (newest - 2, newest - 1, newest)]
             assert np.array_equal(frames, np.concatenate(last, axis))
             assert frames.dtype == np.float32
@@ -87,8 +87,8 @@ def test_frames_are_last_observations_padded_with_zeros(shape):
 def test_wrong_number_of_frames_is_a_clear_error():
     assert stacking_axis((5, 5), (5, 15), 3) == 1
     assert stacking_axis((5, 5), (5, 15), 2) is None
-    with pytest.raises(TypeError, match=r"2 observations that make one of shape \(5, 15\).*give the frame_stack="):
-        pushed(None, np.zeros((5, 5)), 2, (5, 15))
+    with pytest.raises(TypeError, match=r"2 observations that stack to the shape \(5, 15\).*use the frame_stack="):
+        push_observation(None, np.zeros((5, 5)), 2, (5, 15))
 
 
 @table("world", [
@@ -165,7 +165,7 @@ def zipped(path, parameters):
 
 @pytest.mark.parametrize(("policy", "message"), [
     (lambda folder: pafot.policies.sb3(folder / "model.zip"), "expected a file that can be read, received .*model"),
-    (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
+    (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected a frame_stack of 1 or more, received 0"),
 ])  # fmt: skip
 def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
     with pytest.raises(TypeError, match=message):
@@ -207,9 +207,9 @@ def test_statistics_missing_for_the_zip_are_reported(tmp_path):
     of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
     file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "model.zip was trained with VecNormalize, as its content shows, but no statistics are given: unless only "
-        "rewards were normalised, the model now sees different numbers than in training; give sb3(..., "
-        "vecnormalize='statistics.pkl')"
+        "model.zip was trained with VecNormalize, as its content shows, but no statistics are given. Unless only "
+        "rewards were normalised, the model now receives other numbers than in training. Use sb3(..., "
+        "vecnormalize='statistics.pkl')."
     )
     assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
     for parameters in (of_ppo, {**of_ppo, "_last_original_obs": None}, {**of_dqn, "_last_original_obs": STORED}):
@@ -221,9 +221,9 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     (tmp_path / "buffer.pkl").write_bytes(pickle.dumps({"other": "things"}))
     file = zipped(tmp_path / "model.zip", {"buffer_size": 9, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "no statistics of VecNormalize are given for model.zip, but the file vecnormalize.pkl contains some: if the "
-        "model was trained with them, it now sees different numbers than in training; "
-        f"give sb3(..., vecnormalize='{statistics}')"
+        "no statistics of VecNormalize are given for model.zip, but the file vecnormalize.pkl contains some. If the "
+        "model was trained with them, it now receives other numbers than in training. "
+        f"Use sb3(..., vecnormalize='{statistics}')."
     )
     below = tmp_path / "model"
     below.mkdir()

@@ -223,9 +223,9 @@ def test_long_stderr_output_of_program_is_shortened(tmp_path, capfd):
     ads.close()
     said = capfd.readouterr().err
     assert said.startswith("beginxx")
-    assert re.search(r"xx\n\[\.\.\. 592027 bytes that .* wrote to stderr are left out \.\.\.\]\nxx", said)
+    assert re.search(r"xx\n\[\.\.\. 592027 bytes that .* wrote to stderr are omitted \.\.\.\]\nxx", said)
     assert said.endswith("xxend\n")
-    assert len(said) < 2 * programs.WORDS + 100
+    assert len(said) < 2 * programs.STDERR_PRINTED + 100
 
 
 @table("line", [
@@ -260,9 +260,9 @@ def test_program_that_cannot_start_is_a_setup_error():
     ("./planner", None,
      r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)"),
     ("python3 planner.py", None, r"write process\(\['python3', 'planner.py'\]\)"),
-    ([], None, r"in a list, received \[\]; name it"),
+    ([], None, r"in a list, received \[\]; name the program"),
     (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
-    (["./planner"], 0, "received 0; give it seconds"),
+    (["./planner"], 0, "received 0; use seconds"),
 ])  # fmt: skip
 def test_invalid_command_or_timeout_is_refused_early(command, timeout, message):
     with pytest.raises(TypeError, match=message):

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import pytest
 
-from pytest_pafot.world.driving.conditions import LONGEST, NOBODY, Conditions, differing, parting, shown
+from pytest_pafot.world.driving.conditions import LONGEST, NOBODY, Conditions, differing_numbers, parting, shown
 
 
 @pytest.fixture
@@ -163,7 +163,7 @@ def whom_of(module, source, seen, nudges):
     """Return the conditions of a decision, and whom they are about by decisions with one vehicle a little elsewhere."""
     here, whom = evaluated(module, source, seen), {}
     for npc, nudged in enumerate(nudges):
-        for number in differing(here, evaluated(module, source, nudged)):
+        for number in differing_numbers(here, evaluated(module, source, nudged)):
             whom[number] = (*whom.get(number, ()), npc)
     return here, whom
 
@@ -217,7 +217,7 @@ def test_an_evaluation_of_another_vehicle_is_no_other_outcome_of_this_one(module
 def test_a_decision_is_compared_until_it_goes_another_way(module):
     source = "def decide(gaps):\n    if gaps[0] < 10:\n        return gaps[1] < 5\n    return gaps[1] < 6\n"
     here, there = evaluated(module, source, (10.0, 5.0)), evaluated(module, source, (9.0, 5.0))
-    assert differing(here, there) == {0}
+    assert differing_numbers(here, there) == {0}
 
 
 def test_the_cause_is_before_what_it_causes(module):

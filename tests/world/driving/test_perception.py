@@ -130,13 +130,13 @@ def test_ads_is_closed_and_gains_no_methods():
 
 
 @table(("make", "error", "message"), [
-    (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),
+    (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class reads the road itself"),
     (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
-    (lambda: pafot.Perception(42), AdsFactoryError, "give a function or class that makes one"),
+    (lambda: pafot.Perception(42), AdsFactoryError, "pass a function or a class that makes an ADS"),
     (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
     (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
     (lambda: pafot.Perception(Watching)("what is seen"), AdsFactoryError,
-     "that is used as the factory, received a call of it with an observation"),
+     "that is used as the factory, received a call with an observation"),
     (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(make, error, message):

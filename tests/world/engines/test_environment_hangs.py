@@ -182,7 +182,7 @@ def test_reset_that_does_not_return_ends_the_run_or_the_look_at_the_world(clock)
     assert (trace.outcome, trace.ticks, trace.actions) == (Outcome.HANG, 0, ())
     assert trace.error.message.startswith("Starting.reset did not return")
     Starting.left = 1
-    with pytest.raises(WorldError, match=r"received Starting.reset did not return within 300 s .* longer hang_limit"):
+    with pytest.raises(WorldError, match=r"received Starting.reset did not return within 300 s .* increase hang_limit"):
         wrapped(Starting).check_fits(SCENARIO)
 
 

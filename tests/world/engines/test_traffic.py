@@ -398,10 +398,10 @@ class Final(IDMVehicle):
     (Extra, "missing 1 required positional argument: 'mood'"),
     (Abstract, "abstract class Abstract"),
     (Computed, "Computed computes speed itself, which the run has to set"),
-    (Halfway, "Halfway.__init__ leaves out target_lane_index, target_speed, route, enable_lane_change, timer"),
+    (Halfway, "Halfway.__init__ does not set target_lane_index, target_speed, route, enable_lane_change, timer"),
     (Fixed, "fixed at the start"),
     (Final, "no class may derive from it"),
-    (Obstacle, "is no class of vehicles that derives from highway-env's Vehicle"),
+    (Obstacle, "is not a class derived from highway-env's Vehicle"),
 ])  # fmt: skip
 def test_class_of_which_npcs_cannot_be_is_named_before_the_first_run(register, kind, message):
     config, asked = {"other_vehicles_type": f"{kind.__module__}.{kind.__qualname__}"}, []
@@ -432,5 +432,5 @@ def test_file_may_name_a_vehicle_class_that_the_test_has_imported():
     config = {"other_vehicles_type": f"{__name__}.Own"}
     assert from_dict({"kind": "gym", "env_id": "highway-v0", "config": config}).config == config
     config = {"other_vehicles_type": f"{__name__}.Slowing"}
-    with pytest.raises(WorldError, match="may not name other code"):
+    with pytest.raises(WorldError, match="must not name other code"):
         from_dict({"kind": "gym", "env_id": "highway-v0", "config": config})

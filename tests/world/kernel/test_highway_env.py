@@ -37,7 +37,7 @@ Before another version is allowed in pyproject.toml:
 2. Run `python -m pytest -n 2 -m oracle` and `python -m pytest -n 2 tests/world`, which compare runs with env.step.
 3. Search `docs` and `tests` for the old version. Saved scenarios of users are `drifted` if a run changes: say so in
    docs/changelog.md.
-4. Set NEWEST and the digests of COPIED here, and the bound in pyproject.toml and docs/guide/questions.md.
+4. Set NEWEST and the digests of COPIED here, and the bound in pyproject.toml and docs/explanation/search.md.
 """
 
 
@@ -56,4 +56,5 @@ def test_no_later_highway_env_can_be_installed_than_was_compared():
     root = Path(__file__).parents[3]
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert f"highway-env>=1.12,<={NEWEST}" in project["dependencies"], TO_CHECK
-    assert f"highway-env 1.12 to {NEWEST}" in (root / "docs/guide/questions.md").read_text(encoding="utf-8"), TO_CHECK
+    page = (root / "docs/explanation/search.md").read_text(encoding="utf-8")
+    assert f"highway-env 1.12 to {NEWEST}" in page, TO_CHECK
