@@ -34,7 +34,7 @@ JUDGED_OTHERWISE = "the same run got a different verdict when it was repeated"
 
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """What runs and evaluates the scenarios of one search."""
+    """The runner and the evaluation of the scenarios of one search."""
 
     # Until a run is evaluated, its scenario is on disk in the crash record of this process.
 

@@ -717,12 +717,12 @@ class Saved(NamedTuple):
 
     @property
     def is_crash(self) -> bool:
-        """Whether the process died in this scenario."""
+        """True if the process died in this scenario."""
         return self.finding is not None and self.finding.expect.is_crash
 
     @property
     def needs_own_process(self) -> bool:
-        """Whether a run may end the process, hang or exhaust the memory."""
+        """True if a run may end the process, hang or exhaust the memory."""
         expect = None if self.finding is None else self.finding.expect
         return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 

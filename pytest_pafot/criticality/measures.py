@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from itertools import product, takewhile
 
@@ -249,24 +249,6 @@ class Encounters(RelativePositions):
     def pairs(self) -> Pairs:
         every = slice(None)
         return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
-
-    def depths(self, rows: slice = slice(None), heading: float | None = None) -> FloatArray:
-        # How deep each two vehicles overlap [m], shape [pairs, rows]; negative if they are apart.
-        boxes, every = self.boxes, range(len(self.x) - 1)
-        # With a heading [rad], the boxes do not turn: all of them have it.
-        if heading is not None:
-            boxes = replace(boxes, cos=0 * boxes.cos + math.cos(heading), sin=0 * boxes.sin + math.sin(heading))
-        parts = [(boxes.part(slice(n, n + 1), rows), boxes.part(slice(n + 1, None), rows)) for n in every]
-        return np.vstack([depth(relate(*pair)) for pair in parts])
-
-    def depth_in(self, obstacles: Sequence[Sequence[float]], vehicle: int) -> float:
-        # Each obstacle has x [m], y [m], heading [rad], length and width [m]. The overlap is the one at the last tick
-        # [m].
-        if not obstacles:
-            return -math.inf
-        x, y, heading, length, width = np.array(obstacles, dtype=float).T
-        fixed = Boxes.driving(x, y, heading, 0 * x, length, width)
-        return float(depth(relate(self.boxes.part(slice(vehicle, vehicle + 1), slice(-1, None)), fixed)).max())
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:

@@ -324,8 +324,7 @@ class Finding:
 
     @property
     def drawn(self) -> str:
-        """What differs between the runs of the rate: ``seeds`` or ``runs``."""
-        # What differs between the runs of the rate.
+        """The difference between the runs of the rate: ``seeds`` or ``runs``."""
         return "seeds" if self.flaky is None else "runs"
 
     @property

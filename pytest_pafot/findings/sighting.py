@@ -219,7 +219,7 @@ class Seen:
 
     @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
-        """How a replay compares with the reference, or an empty string."""
+        """The comparison of a replay with the reference, or an empty string."""
         now = self.observed
         if now.reference_passes is None or now.is_unsteady:
             return ""
@@ -229,7 +229,7 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """Where the search found the failure of a passing replay, or an empty string."""
+        """The result of the search for the failure of a passing replay, or an empty string."""
         # Otherwise in how many runs it did not. Some of these runs are random.
         searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
         if elsewhere or not searched:

@@ -369,7 +369,7 @@ class Verdict:
 
     @property
     def worsening(self) -> str:
-        """How much worse the failure is than the reference's, or an empty string."""
+        """The increase in severity over the failure of the reference, or an empty string."""
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:

@@ -243,7 +243,7 @@ class Choices(NamedTuple):
 
 
 class Instruction(Pasteable, ABC):
-    """What an NPC is instructed to do."""
+    """An instruction for an NPC."""
 
     # The defaults are those of most kinds.
 

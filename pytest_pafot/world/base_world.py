@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
-import numpy as np
-
 from pytest_pafot.attribution.responsibility import HARDEST
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.findings.finding import DRIVEN_ON
@@ -20,13 +18,12 @@ from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import AdsFactoryError, DriverError, FieldError, WorldError, plain_number
+from pytest_pafot.support.errors import AdsFactoryError, DriverError, FieldError, WorldError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.policy import AdsFactory, Policy, idm_model
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, planner_run, vehicle_run
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import (
@@ -403,19 +400,6 @@ class BaseWorld(ABC):
     def run_of(self, trace: Trace) -> Run:
         """Return a trace of this world in the form that a test function receives."""
         return Run(trace, take_over=TakingOver(self))
-
-    @staticmethod
-    def looks_si(actions: Sequence[Any]) -> bool:
-        # False without any actions.
-        return bool(actions) and all(
-            isinstance(action, Drive)
-            or (
-                isinstance(action, (tuple, list, np.ndarray))
-                and np.shape(action) == (2,)
-                and all(plain_number(value) is not None for value in action)
-            )
-            for action in actions
-        )
 
 
 def _reference_driver(name: str) -> ReferenceDriver:
