@@ -14,7 +14,7 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.measures import last_stretch
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell
-from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace
+from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace, named
 from pytest_pafot.support.text import capitalised, listed
 
 # What happened at the decisive tick: a vehicle moved into the other's lane, came too close, moved sideways into the
@@ -91,7 +91,7 @@ def sentences_on(
     """Return the sentences on a collision: the decisive event, then one each on the NPC and the ego."""
     # First the decisive event, unless it is only that they came too close, which the other sentences show.
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
-    (who, whom), at = (_name(vehicle), _name(other)), f"{tick / hz:.1f} s"
+    (who, whom), at = (named(vehicle), named(other)), f"{tick / hz:.1f} s"
     ahead, half = frame.ahead[npc], frame.half_lengths(npc)
 
     def place(of: float, whom: str, tick: int) -> str:
@@ -132,15 +132,11 @@ def sentences_on(
     # Only an NPC behind the ego could have braked for it.
     is_ahead = crosses or bool(ahead[since] > 0)
     deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
-    told.append(f"{_name(npc + 1)}{where} {deed}{left}.")
+    told.append(f"{named(npc + 1)}{where} {deed}{left}.")
     # Then the ego. How late it braked shows in the distance to a vehicle ahead of it in its track.
     gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
-    told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, _name(npc + 1))}.")
+    told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, named(npc + 1))}.")
     return tuple(capitalised(sentence) for sentence in told)
-
-
-def _name(vehicle: int) -> str:
-    return f"NPC {vehicle - 1}" if vehicle else "the ego"
 
 
 def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
@@ -149,7 +145,7 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
     times = []
     for places, (begins, _) in ((trace.track_of(0)[:, ALONG], zone.ego), (trace.way_of(npc), zone.npc)):
         times.append(last_stretch(places >= begins) / trace.physics_hz)
-    where, whom = "merge" if zone.kind == "merging" else "crossing", _name(npc + 1)
+    where, whom = "merge" if zone.kind == "merging" else "crossing", named(npc + 1)
     holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
     entered = f"the ego entered the {where} at {times[0]:.1f} s, {whom} {zone.whence} at {times[1]:.1f} s"
     return [f"{entered}. {holder} had priority."]

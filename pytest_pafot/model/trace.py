@@ -522,6 +522,11 @@ QUANTITIES = (
 SURVIVES = "the cause is probably state that survives `start` or `reset`, or a random generator that these do not seed"
 
 
+def named(vehicle: int) -> str:
+    """Return the name for a vehicle in messages. Number 0 is the ego."""
+    return f"NPC {vehicle - 1}" if vehicle else "the ego"
+
+
 def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:
     """Return how two runs of one scenario first differ, or an empty string."""
     # `within` is the difference of x and y that is ignored between two simulators [m]. None requires equality to the
@@ -537,8 +542,7 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
         return "" if within is not None or is_same else f"{ends[0]}, then {ends[1]}"
     tick, vehicle, column = np.argwhere(differs)[0].tolist()
     name, unit = QUANTITIES[column]
-    who = f"NPC {vehicle - 1}" if vehicle else "the ego"
-    what = f"{name} of {who} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
+    what = f"{name} of {named(vehicle)} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
     what = f"{what} after {first.times[tick]:.3g} s"
     if within is not None or not first.actions:
         return what

@@ -23,7 +23,7 @@ import numpy as np
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.campaign.request import SpaceArguments, drawn_space
 from pytest_pafot.model.scenario import Scenario, rng_of
-from pytest_pafot.model.trace import FloatArray, Trace, first_difference
+from pytest_pafot.model.trace import FloatArray, Trace, first_difference, named
 from pytest_pafot.model.vehicle_type import READY
 from pytest_pafot.searching.space import sample
 from pytest_pafot.world import Control, Simulator, SimulatorWorld, Vehicle
@@ -33,7 +33,6 @@ from pytest_pafot.world.driving.policy import AdsFactory
 from pytest_pafot.world.engines.simulation import HEADINGS, STARTS, Frame, Reference
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.plausible import named
 
 # Durations of the experiments; the time at which vehicles that have stopped drive on in the last one; the longest
 # random scenario [s]. The proportion of an experiment after which a lagging drivetrain obeys. The delay from which

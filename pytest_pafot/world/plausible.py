@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pytest_pafot.model.trace import named
+
 # The largest change of a speed [m/s^2], three times that of the hardest braking.
 CHANGE = 30.0
 # The distance by which a vehicle may exceed the path that its speeds allow in a tick [m].
@@ -69,8 +71,3 @@ class Plausibility:
                 what = f"did not move for {(tick - since) * dt:.1f} s at a stated speed of {speed:.1f} m/s"
                 raise Implausible(f"{method}, tick {tick}: {named(number)} {what}")
         self._before, self._states = self._states, states
-
-
-def named(number: int) -> str:
-    """Return the name for a vehicle in messages. Number 0 is the ego."""
-    return "the ego" if number == 0 else f"NPC {number - 1}"

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pytest_pafot.model.trace import AdsError
+from pytest_pafot.model.trace import AdsError, named
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.world.driving.policy import Unseeing, check_by
 from pytest_pafot.world.engines.run import VehiclesOfRun
@@ -29,7 +29,7 @@ from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, 
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.plausible import Implausible, Plausibility, named
+from pytest_pafot.world.plausible import Implausible, Plausibility
 
 # The time that `close` of a simulator may take [s].
 CLOSING = 10.0
