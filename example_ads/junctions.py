@@ -63,13 +63,13 @@ class CarefulDriver:
         self.standing: dict[int, float] = {}
         self.let_go: set[int] = set()
 
-    def __call__(self, seen: Observation) -> pafot.Drive:
+    def __call__(self, seen: Observation) -> pafot.LaneCommand:
         """Return the ego's lane and an acceleration [m/s^2]."""
         ego = seen.ego
         self.watch(seen)
         wishes = [self.cruise(ego), self.stop_in(self.line(seen), ego.speed)]
         wishes += [self.follow(ego, gap, speed) for gap, speed in self.leaders(seen)]
-        return pafot.Drive(lane=ego.lane, acceleration=max(min(wishes), -HARDEST))
+        return pafot.LaneCommand(lane=ego.lane, acceleration=max(min(wishes), -HARDEST))
 
     def watch(self, seen: Observation) -> None:
         """Note which vehicles speed up and how much, which stand and since when, and which let the ego go first."""

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import policies, properties, simulators, strategies
-    from pytest_pafot.campaign.explore import explore
-    from pytest_pafot.campaign.saved_scenario import load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
     from pytest_pafot.model.instructions import (
         Cell,
@@ -26,11 +24,13 @@ if TYPE_CHECKING:
     from pytest_pafot.model.vehicle_type import VehicleType
     from pytest_pafot.oracle.run import CheckFailed, Run, check, reject
     from pytest_pafot.plugin.collection import search
+    from pytest_pafot.searches.explore import explore
+    from pytest_pafot.searches.saved_scenario import load
     from pytest_pafot.simulators.metadrive import metadrive
     from pytest_pafot.simulators.sumo import sumo
     from pytest_pafot.world import (
-        Drive,
         Highway,
+        LaneCommand,
         NpcLimits,
         Observation,
         Perception,
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES = {
-    "campaign.explore": "explore",
-    "campaign.saved_scenario": "load",
+    "searches.explore": "explore",
+    "searches.saved_scenario": "load",
     "model.crossings": "CrossingVehicle Zone",
     "model.instructions": "Cell CrossingInstruction LaneInstruction PositionInstruction ScenarioError",
     "model.scenario": "Scenario",
@@ -54,18 +54,17 @@ _NAMES = {
     "plugin.collection": "search",
     "simulators.metadrive": "metadrive",
     "simulators.sumo": "sumo",
-    "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState World",
+    "world": "Highway LaneCommand NpcLimits Observation Perception Simulator SimulatorWorld VehicleState World",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 _MODULES = ("policies", "properties", "simulators", "strategies")
 
 __all__ = [
-    "Cell", "CheckFailed", "CrossingInstruction", "CrossingVehicle", "Drive", "Highway", "LaneInstruction",
+    "Cell", "CheckFailed", "CrossingInstruction", "CrossingVehicle", "Highway", "LaneCommand", "LaneInstruction",
     "NpcLimits", "Observation", "Perception", "PositionInstruction", "Run", "Scenario", "ScenarioError",
-    "Simulator", "SimulatorWorld", "Trace", "VehicleState", "VehicleType", "World", "Zone",
-    "check", "explore", "load", "metadrive", "policies", "properties", "reject", "search", "simulators", "strategies",
-    "sumo",
+    "Simulator", "SimulatorWorld", "Trace", "VehicleState", "VehicleType", "World", "Zone", "check", "explore",
+    "load", "metadrive", "policies", "properties", "reject", "search", "simulators", "strategies", "sumo",
 ]  # fmt: skip
 
 

@@ -1,7 +1,7 @@
-"""Commands such as ``python -m pytest_pafot search``, without ``pytest``.
+"""The commands of ``python -m pytest_pafot``.
 
 If the exit code is a verdict on a policy, the command runs in a child process. A policy may end that process with the
-exit code 0, so the child leaves a receipt when the command is finished.
+exit code 0, so the child leaves a receipt at the end.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ COMMANDS = MappingProxyType({
     "replay": Command(
         "pytest_pafot.commands.replay_command",
         "run a saved scenario, without a test",
-        "Run the scenario of a saved file with a policy. Code that the file names is not run, so anyone may send it.",
+        "Run a saved scenario with a policy. Code that the file names is not run, so you can replay files from anyone.",
         is_gate=True,
     ),
     "corpus": Command(
@@ -89,7 +89,7 @@ DRIVES = "PYTEST_PAFOT_DRIVES"
 def main_in_child(arguments: list[str]) -> int:
     """Run a command, in a child process if it is one of :data:`GATES`, and return its exit code."""
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # it was closed, as `>&-` does
+        if getattr(sys, name) is None:  # it is closed, for example by `>&-`
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
     if told := os.environ.pop(DRIVES, ""):
         parent, _, folder = told.partition(":")
@@ -99,7 +99,7 @@ def main_in_child(arguments: list[str]) -> int:
         try:
             _hold_back(False)
             code = main(arguments)
-        except SystemExit as ended:  # after --help, or for wrong arguments; that of a policy is caught
+        except SystemExit as ended:  # after --help or for invalid arguments; a SystemExit of a policy is caught
             code = int(ended.code or 0)
         except KeyboardInterrupt:  # while modules are imported
             code = _interrupted(arguments)
@@ -116,14 +116,14 @@ def main_in_child(arguments: list[str]) -> int:
 
     def pass_on(number: int, _: object) -> None:
         received.append(number)
-        # Ctrl-C in a terminal reaches both processes, any other signal only this one. A second Ctrl-C may arrive twice.
+        # Ctrl-C in a terminal reaches both processes, other signals only this one. A second Ctrl-C may arrive twice.
         reached = number == signal.SIGINT and received.count(number) == 1 and _has_terminal()
         if child is not None and not reached:
             with suppress(OSError):  # it may have ended
                 child.send_signal(number)
 
     for number in ENDS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # both processes ignore those of nohup
+        if signal.getsignal(number) is not signal.SIG_IGN:  # both processes ignore the signals that nohup ignores
             signal.signal(number, pass_on)
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         # The same interpreter with the same options.
@@ -147,7 +147,7 @@ def main_in_child(arguments: list[str]) -> int:
 
 
 def _hold_back(is_held: bool) -> None:
-    # Block or release ENDS. A child inherits that, since Python would print a traceback while it starts.
+    # Block or release ENDS. A child inherits the block, because Python would print a traceback while it starts.
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK, ENDS)
 
@@ -169,7 +169,7 @@ def _has_terminal() -> bool:
 def main(arguments: list[str] | None = None) -> int:
     """Run a command in this process, and return its exit code.
 
-    ``arguments`` are by default those of this process, without the name of the program.
+    ``arguments`` are by default those of this process, without the program's name.
     """
     from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 
@@ -185,7 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _note(interrupt: KeyboardInterrupt) -> None:
-    # Inform the guard of decisions about an interrupt, unless it is not imported yet, because that takes long.
+    # Inform the guard of decisions about an interrupt if it is already imported, because importing it takes long.
     note = getattr(sys.modules.get("pytest_pafot.world.guard.hang_guard"), "note_interrupt", None)
     if note is not None:
         note(interrupt)
@@ -202,7 +202,7 @@ def _run(given: list[str]) -> int:
     # The errors that the user can correct. A ChildProcessError means that a worker died.
     errors = (RequestError, FieldError, AdsFactoryError, ChildProcessError)
     parser = argparse.ArgumentParser(
-        prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
+        prog="python -m pytest_pafot", description="Run a command of pytest-pafot without writing a test."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     asked = next((each for each in given if not each.startswith("-")), "")
@@ -256,9 +256,9 @@ def _without_surroundings(command: str, error: OSError) -> int:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())  # otherwise, Python fails to flush the rest when it exits
     if isinstance(error, BrokenPipeError):  # such as `| head`, which has read enough, so this is no error
         return 128 + 13
-    expected, fix = "a standard output that can be written", way_out(error, "or redirect it")
+    expected, fix = "a writable standard output", way_out(error, "or redirect it")
     if isinstance(error, FileNotFoundError):
-        expected, fix = "a current folder that exists", "change to one that exists"
+        expected, fix = "an existing current folder", "change to a folder that exists"
     sys.stderr.write(f"{command}: expected {expected}, received {error.strerror}; {fix}\n")
     return 2
 

@@ -1,4 +1,4 @@
-"""Built-in properties: common requirements for a driving policy, each of which is one call in a test function.
+"""Built-in properties: common requirements for a driving policy. Each is one call in a test function.
 
 For example::
 
@@ -6,8 +6,8 @@ For example::
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each property except :func:`no_fault` is a check with a name and a margin. If it does not apply to a run, it makes no
-check. A source is marked *second hand* if only a quotation was read. All other numbers are choices.
+Each property except :func:`no_fault` is a check with a name and a margin. If a property does not apply
+to a run, it makes no check. *Second hand* marks sources read only in quotations. Other numbers are choices.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ __all__ = ["comfort", "no_fault", "rss_distance", "stays_on_road"]
 
 __tracebackhide__ = True  # pytest hides these frames, so a traceback ends in the test function
 
-# The scale of the margins of gaps to other vehicles [m].
+# The scale for margins of gaps to other vehicles [m].
 NEAR = 10.0
 
 
 def no_fault(run: Run) -> None:
-    """Assert, without a margin, that the ego is not responsible for a collision, alone or with the NPC.
+    """Assert that the ego is not responsible for a collision, neither alone nor together with an NPC.
 
-    The rules of docs/explanation/verdicts.md decide.
+    The rules of docs/explanation/verdicts.md decide, without a margin.
     """
     is_free = run.responsibility not in ("ego", "both")
     require(is_free, "run.responsibility not in ('ego', 'both')", run.explain)
 
 
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
-    """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and next to it.
+    """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and alongside.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, at least 0. NPCs behind do not count, and
-    crossing NPCs count once they are on the ego's path.
+    The value is the gap minus the safe distance [m] for the worst NPC. It must be at least 0. NPCs behind the ego do
+    not count. Crossing NPCs count while they are on the ego's path.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default, two seconds are enough behind a
-    leader of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
+    leader with the same speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}")
@@ -67,13 +67,13 @@ def comfort(
     lateral_acceleration: float | None = 3.0,
     lateral_jerk: float | None = 5.0,
 ) -> None:
-    """Check that the ride is comfortable, even in bends and when braking for others.
+    """Check that the ride is comfortable, even in bends and when braking for other vehicles.
 
-    Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the lateral
-    acceleration [m/s^2] and the lateral jerk [m/s^3]. None disables a limit.
+    Four moving averages are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and the
+    lateral acceleration [m/s^2] and lateral jerk [m/s^3] over 0.5 s. None disables a limit.
 
-    Sources: along the road, ISO 15622:2018 above 20 m/s (second hand; its jerk is only for braking); across, UN R79,
-    5.6.2.1.3 (second hand; only its jerk is a mean).
+    Sources: ISO 15622:2018 above 20 m/s (second hand), which limits the jerk only while braking; for the lateral
+    limits, UN R79, 5.6.2.1.3 (second hand), in which only the jerk is an average.
     """
     asked = {
         "jerk": jerk,
@@ -98,14 +98,14 @@ def comfort(
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    On curved roads, half of the lane's width replaces the distance.
+    On curved roads, the value on a lane is half the lane width.
     """
     check(run.trace.road.to_edge(), name="road edge", at_least=0.0, unit="m")
 
 
 def _refuse_odd(name: str, **given: object) -> None:
     for each, value in given.items():  # finite numbers of at least 0
-        checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
+        checked_number(value, name, f"{each}= to be a finite number, at least 0", least=0.0)
 
 
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:

@@ -1,7 +1,7 @@
 """Hypothesis strategies for valid chromosomes and scenarios.
 
 Examples are valid by construction, so hypothesis need not filter them. They shrink towards few NPCs,
-Position-Instructions, short chains, no changes, and low round speeds.
+Position-Instructions, short chains, NPCs that stay in their cells, and low round speeds.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -20,11 +20,11 @@ from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIM
 from pytest_pafot.model.vehicle_type import CAR, STYLES, Style, VehicleName, VehicleType, named_vehicles
 
 if TYPE_CHECKING:
-    from pytest_pafot.searching.space import Instructions
+    from pytest_pafot.algorithms.space import Instructions
 
 
 def _register() -> None:
-    # Hypothesis calls this when it is imported, which may be in the import below. So it is defined before that import.
+    # Hypothesis calls this function when it is imported, possibly by the import below. So it is defined before that.
     from hypothesis import strategies  # noqa: PLC0415
 
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
@@ -49,7 +49,9 @@ def chromosomes(
     max_genes: int = 6,
     instructions: Instructions = "cells",
 ) -> SearchStrategy[Chromosome]:
-    """Return a strategy for one NPC's chain: each cell equals the previous one or is next to it on the ring.
+    """Return a strategy for the chain of one NPC.
+
+    Each cell is the previous one or next to it on the ring.
 
     Args:
         cells: cells that the chain may visit.
@@ -88,7 +90,7 @@ def scenarios(
     instructions: Instructions = "both",
     vehicles: Iterable[VehicleName | VehicleType] = (CAR,),
 ) -> SearchStrategy[Scenario]:
-    """Return a strategy for complete scenarios on a straight road, in which NPCs never share a cell in the same gene.
+    """Return a strategy for complete scenarios on a straight road. NPCs never share a cell at the same time.
 
     Args:
         cells: cells that chains of Position-Instructions may visit.
@@ -99,9 +101,9 @@ def scenarios(
         ego_lane: initial lane of the ego, 0 at the left; None for a random one.
         ego_speed: initial speed of all vehicles [m/s].
         gene_seconds: duration of a gene [s].
-        traffic: driving style of the NPCs, with a lower limit of the target speeds.
+        traffic: driving style of the NPCs, which can raise the lower bound of the target speeds.
         instructions: ``"cells"``, ``"lanes"``, or ``"both"`` for either kind in each NPC.
-        vehicles: vehicles of NPCs, as names of built-in ones or objects. Examples shrink to the first one.
+        vehicles: vehicle types of the NPCs, as objects or names of built-in types. Examples shrink to the first one.
 
     Raises:
         ValueError: if no scenario is within the bounds.
@@ -155,9 +157,9 @@ def _chains(
     speeds: SearchStrategy[float],
     in_lanes: SearchStrategy[Chromosome | None],
 ) -> tuple[Chromosome, ...]:
-    # This is a function and not a strategy, because hypothesis reads the source of each strategy when it is made, which
-    # would be slow at each draw. Chains in lanes are drawn first, so that hypothesis can omit any other NPC when it
-    # shrinks an example.
+    # This is a function and not a strategy, because hypothesis reads the source of each new strategy, which would be
+    # slow at each draw. Chains in lanes are drawn first, so that hypothesis can omit any other NPC when it shrinks an
+    # example.
     held: list[Cell] = []
     lanes = [draw(in_lanes) for _ in range(npcs)]
     on_grid = lanes.count(None)
@@ -179,7 +181,7 @@ def _chains(
 def _in_lanes(
     instructions: str, speeds: SearchStrategy[float], min_genes: int, max_genes: int
 ) -> SearchStrategy[Chromosome | None]:
-    # None is an NPC on the grid, towards which examples shrink.
+    # None means an NPC with Position-Instructions, towards which examples shrink.
     gene = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)
     chain = st.lists(gene, min_size=min_genes, max_size=max_genes).map(tuple)
     kinds = {"cells": st.none(), "lanes": chain, "both": st.none() | chain}
@@ -197,7 +199,7 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
         return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
 
-    return st.builds(speed, st.integers(first, last), st.booleans())  # one shape: all shrink to round speeds
+    return st.builds(speed, st.integers(first, last), st.booleans())  # all examples shrink to round speeds
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:

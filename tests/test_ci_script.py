@@ -50,7 +50,7 @@ def test_fails(run):
     assert not slow or run.duration < 1
     assert run.outcome == "nothing"
 """
-QUICK = "--pafot-shrink-rollouts=0"
+QUICK = "--pafot-shrink-runs=0"
 """The options of searches whose findings only have to be there."""
 
 FAKE = """#!/bin/sh

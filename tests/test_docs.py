@@ -41,18 +41,18 @@ import highway_env.road.road  # noqa: F401  pytester forgets modules that a run 
 import pytest
 import yaml
 
-import pytest_pafot.campaign.replays
 import pytest_pafot.plugin.item_checks
 import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
+import pytest_pafot.searches.replays
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.policies
 from pytest_pafot import __main__
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS
-from pytest_pafot.campaign.request import SearchArguments
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.findings.finding import Expect, Found
 from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.searches.options import BY_NAME, OPTIONS
+from pytest_pafot.searches.request import SearchArguments
 from pytest_pafot.world import Highway, from_dict
 from tests.helpers.sessions import command_in_a_copy, copied_workers, in_process, quick_sessions
 from tests.helpers.tables import table

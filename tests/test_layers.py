@@ -19,8 +19,8 @@ from tests.helpers.walks import ROUTES
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
-    "world", "simulators", "execution", "strategies", "campaign", "commands", "report", "plugin", "policies", "testing",
+    "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "algorithms", "corpus",
+    "world", "simulators", "execution", "strategies", "searches", "commands", "report", "plugin", "policies", "testing",
     "comparison", "export", "__main__",
 )  # fmt: skip
 """The rooms in order: each may import the rooms before it, and itself."""
@@ -69,12 +69,12 @@ QUESTION = re.compile(
 """What asks a road, or a run on it, for its kind. A new kind of road must look at each such line."""
 
 QUESTIONS = {
-    "campaign/request.py": 1,  # whether NPCs can cross at all
+    "searches/request.py": 1,  # whether NPCs can cross at all
     "criticality/signals.py": 1,  # places on two ways are of use only together
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/views.py": 1,  # two kinds of pictures, and the page has both
-    "searching/evaluation.py": 1,  # how far ahead is along the ego's heading there; and whether NPCs can cross
-    "searching/space.py": 3,  # whether NPCs can cross at all
+    "algorithms/evaluation.py": 1,  # how far ahead is along the ego's heading there; and whether NPCs can cross
+    "algorithms/space.py": 3,  # whether NPCs can cross at all
     "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
     "world/driving/vehicles.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
     "world/engines/policies.py": 1,  # the same
@@ -204,6 +204,11 @@ def test_a_library_is_known_only_to_its_rooms():
     assert strangers == []
 
 
+def test_only_one_module_imports_highway_env_because_it_postpones_plot_and_table_libraries():
+    importers = [path for path in MODULES if any(name.split(".")[0] == "highway_env" for name in imported_names(path))]
+    assert importers == [PACKAGE / "world" / "stock.py"]
+
+
 def test_no_modules_import_each_other_in_a_circle():
     TopologicalSorter(arrows_of_the_package()).prepare()  # it raises CycleError with the circle
 
@@ -211,7 +216,7 @@ def test_no_modules_import_each_other_in_a_circle():
 def test_pure_rooms_use_no_clock_or_global_randomness():
     forbidden = {"time", "random", "datetime", "secrets", "uuid"}
     for path in MODULES:
-        if room_of(path) in ("model", "oracle", "criticality", "attribution", "searching"):
+        if room_of(path) in ("model", "oracle", "criticality", "attribution", "algorithms"):
             assert not {name.split(".")[0] for name in imported_names(path)} & forbidden, path
 
 

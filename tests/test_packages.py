@@ -56,7 +56,7 @@ def test_readme_without_address_loses_links_but_no_text(long_description):
     assert targets(shown) == []
     assert "<picture>" not in shown
     assert fences(shown) == fences(README)
-    assert "test policies of highway-env, networks and\nprograms, and policies in your own simulator" in shown
+    assert "test policies for highway-env, networks and\nprograms, and policies in your own simulator" in shown
 
 
 def test_absolute_and_internal_links_stay_unchanged(long_description):

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot import properties
+from pytest_pafot.algorithms.space import SearchSpace, sample
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
 from pytest_pafot.oracle.run import Recording, recorded
-from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.crossing_traces import CROSSES, MERGES, junction_trace
 from tests.helpers.drives import HZ, bent
 from tests.helpers.situations import FAR, LEFT, OWN, SITUATIONS, at_ramp, driven, in_bend
@@ -190,7 +190,7 @@ def test_lane_changes_by_drive_are_laterally_comfortable(goals):
 
     def decide(now):
         lane, speed = goals[int(now.time / 2.1) % 9]
-        return pafot.Drive(lane=lane, speed=speed)
+        return pafot.LaneCommand(lane=lane, speed=speed)
 
     trace = on_empty_road(decide, speed=27.0, seconds=40)
     assert [made.holds for made in judged(properties.comfort, trace, **ONLY_SIDEWAYS)] == [True, True]
@@ -278,7 +278,7 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
 @table("argument", ["jerk", "braking", "lateral_acceleration", "lateral_jerk"])
 def test_comfort_refuses_negative_or_non_finite_arguments(argument):
     for odd in (-1.0, np.nan, np.inf, "2", True):
-        told = f"expected {argument}= as a finite number of at least 0, received {odd!r}"
+        told = f"expected {argument}= to be a finite number, at least 0, received {odd!r}"
         with pytest.raises(ValueError, match=told):
             properties.comfort(pafot.Run(following(100.0)), **{argument: odd})
 

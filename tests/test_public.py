@@ -6,8 +6,8 @@ import sys
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.options import OPTIONS
-from pytest_pafot.campaign.request import SearchArguments
+from pytest_pafot.searches.options import OPTIONS
+from pytest_pafot.searches.request import SearchArguments
 
 
 def test_an_unknown_name_is_an_attribute_error():
@@ -37,7 +37,7 @@ from pytest_pafot import *
 Highway(), World("highway-v0")
 heavy = {"gymnasium", "highway_env", "matplotlib", "pandas", "pygame", "scipy", "torch"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
-import pytest_pafot.campaign.harness
+import pytest_pafot.searches.harness
 assert callable(pytest_pafot.reject), "a module in the place of the function"
 """
 

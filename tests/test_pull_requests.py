@@ -28,7 +28,7 @@ def changed(repository, copied):  # noqa: F811
         commit(repository, before, "Before")
         base = git(repository, "rev-parse", "HEAD")
         commit(repository, change, "Change")
-        own = {"runs": "4", "seed": "1", "requirements": "", "options": "--pafot-shrink-rollouts=0"}
+        own = {"runs": "4", "seed": "1", "requirements": "", "options": "--pafot-shrink-runs=0"}
         given = inputs_of("pull-request", "pull-request", {"github.event.pull_request.base.sha": base})
         code, printed = run_action(given | own | inputs, repository, **copied)
         assert git(repository, "worktree", "list").count("\n") == 0

@@ -10,14 +10,14 @@ from typing import get_args
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.explore import ExploreArguments
-from pytest_pafot.campaign.options import BY_NAME, AlgorithmName
-from pytest_pafot.campaign.request import SearchArguments
+from pytest_pafot.algorithms import ALGORITHMS
+from pytest_pafot.algorithms.fitness import FITNESSES, FitnessName
+from pytest_pafot.algorithms.space import LANE_SHARES, Instructions
 from pytest_pafot.model.sight import NOISES, Noise
 from pytest_pafot.model.vehicle_type import READY, STYLES, Style, VehicleName
-from pytest_pafot.searching import ALGORITHMS
-from pytest_pafot.searching.fitness import FITNESSES, FitnessName
-from pytest_pafot.searching.space import LANE_SHARES, Instructions
+from pytest_pafot.searches.explore import ExploreArguments
+from pytest_pafot.searches.options import BY_NAME, AlgorithmName
+from pytest_pafot.searches.request import SearchArguments
 
 ROOT = Path(__file__).parents[1]
 CONFIG = """

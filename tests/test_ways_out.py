@@ -16,9 +16,9 @@ from typing import NamedTuple
 import pytest
 
 from pytest_pafot.__main__ import COMMANDS, main
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export import exporter
+from pytest_pafot.searches.options import BY_NAME, OPTIONS
 from pytest_pafot.support.errors import OF_REPLAY, OF_SEARCH, command, flag, install, rerun
 from tests.helpers.sessions import command_in_a_copy
 
@@ -64,10 +64,10 @@ def calls(name):
 def test_messages_name_ways_out_only_by_the_functions():
     texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
     found = [(place, said) for place, text in texts for said in SAID.findall(text)]
-    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/errors.py"}
+    assert {place for place, _ in found} == {"__main__.py", "searches/options.py", "support/errors.py"}
     assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
     flags = {option.flag for option in OPTIONS}
-    assert {said for place, said in found if place == "campaign/options.py"} <= flags  # texts of help
+    assert {said for place, said in found if place == "searches/options.py"} <= flags  # texts of help
 
 
 def test_every_option_that_messages_name_exists_also_in_search():
@@ -155,7 +155,7 @@ def idle(name):
 """
 RUN_BY = {
     "corpus/reader.py": "test_unknown_finding_is_among_those_that_the_command_lists",
-    "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "searches/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "plugin/collection.py": "test_a_saved_file_is_replayed_without_its_project",
     "support/errors.py": "test_session_of_search_names_commands_that_work_without_test_files",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
@@ -211,7 +211,7 @@ def test_session_of_search_names_commands_that_work_without_test_files(here, mon
     (again,) = set(re.findall(r"python -m pytest_pafot replay [^<\"]*b'", report))
     assert single == again == finding["replay"]
     assert file.name.partition(".")[0] in single
-    keep = named_in(told, "keep it as a test: ").partition(", and commit")[0]
+    keep = named_in(told, "to keep this as a test, run ").partition(", and commit")[0]
     code, told = ran(single)
     assert (code, "replayed 1 saved scenario: 1 still failing" in told) == (1, True)
     (here / "test_it.py").write_text("def test_it():\n    pass\n")
@@ -224,11 +224,11 @@ def test_session_of_search_names_commands_that_work_without_test_files(here, mon
 
 @pytest.mark.processes
 def test_options_that_a_session_of_search_names_repeat_it(here):
-    search = "python -m pytest_pafot search planner:Planner --runs 4 --pafot-shrink-rollouts=0"
+    search = "python -m pytest_pafot search planner:Planner --runs 4 --pafot-shrink-runs=0"
     told = ran(f"{search} --pafot-save=none --pafot-json=j.json -- -v")[1]
-    seed, base = re.search(r"seed (\d+) from (--pafot-seed=\d+)", told).groups()
+    seed, base = re.search(r"seed (\d+), derived from (--pafot-seed=\d+)", told).groups()
     again = ran(f"{search} {base} -- -v")[1]
-    assert f"seed {seed} from {base}" in again
+    assert f"seed {seed}, derived from {base}" in again
     for finding in json.loads((here / "j.json").read_text())["findings"]:
         assert finding["file"] is None
         assert finding["id"] in ran(finding["replay"])[1]
@@ -237,7 +237,7 @@ def test_options_that_a_session_of_search_names_repeat_it(here):
 TEST = """\
 import pytest_pafot as pafot
 
-@pafot.search(ads="planner:Planner:a b", runs=4, seed=2, shrink_rollouts=0)
+@pafot.search(ads="planner:Planner:a b", runs=4, seed=2, shrink_runs=0)
 def test_safe(run):
     assert not run.collision
 """

@@ -17,10 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import policies, properties
-from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import Search
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
-from pytest_pafot.campaign.request import Request
+from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.commands.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
 from pytest_pafot.comparison.plan import COLUMNS as COMPARED
@@ -40,10 +37,13 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle
 from pytest_pafot.oracle.run import Run, check
 from pytest_pafot.report.session_record import finding_entry
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.searches import run_table
+from pytest_pafot.searches.events import Search
+from pytest_pafot.searches.options import BY_NAME, OPTIONS, RUNS, Option
+from pytest_pafot.searches.request import Request
 from pytest_pafot.world import (
-    Drive,
     Highway,
+    LaneCommand,
     NpcLimits,
     Observation,
     Perception,
@@ -92,7 +92,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "algorithm": "[Search algorithm](options.md#pafot-algorithm): a name, or [a class of your "
     "own](../guide/algorithms.md).",
     "fitness": "[Fitness](checks.md#fitness) that an algorithm maximises. The default algorithm does not use it.",
-    "shrink_rollouts": "[Maximum number of runs](options.md#pafot-shrink-rollouts) to simplify one finding.",
+    "shrink_runs": "[Maximum number of runs](options.md#pafot-shrink-runs) to simplify one finding.",
 }
 """The meanings of the arguments of the mark."""
 
@@ -116,7 +116,7 @@ MARKER_GROUPS: Mapping[str, Sequence[str]] = {
     "marker-traffic": (
         *("traffic", "vehicles", "npcs", "instructions", "genes", "gene_seconds", "ego_lane", "ego_speed"),
     ),
-    "marker-search": ("runs", "generations", "seed", "algorithm", "fitness", "shrink_rollouts"),
+    "marker-search": ("runs", "generations", "seed", "algorithm", "fitness", "shrink_runs"),
 }
 """The arguments of the mark by table."""
 
@@ -125,7 +125,7 @@ OPTION_GROUPS: Mapping[str, Sequence[str]] = {
         *("runs", "generations", "max_time", "stop_after", "seed", "algorithm", "against"),
         *("workers", "dask", "isolate"),
     ),
-    "options-findings": ("shrink_rollouts", "corpus", "save", "report", "json", "debug"),
+    "options-findings": ("shrink_runs", "corpus", "save", "report", "json", "debug"),
     "options-strictness": ("strict_drift", "strict_health", "allow_orphans", "today"),
 }
 """The options by table."""
@@ -157,8 +157,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.npcs": "[Instructions](scenarios.md) of each NPC: `{cell, speed}`, `{lane, speed}` or, only once, "
     "`{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.failure": "Class of the exception, or `ProcessCrash` if the process died or hung.",
-    "expect.assertion": "Failing assertion, with `N` for each number, or name of the failed check. For other "
-    "exceptions, the failing statement or the first line of the message.",
+    "expect.assertion": "Failing assertion, with `N` instead of each number, or name of the failed check. For "
+    "other exceptions, the failing statement or the first line of the message.",
     "expect.check": "Values of a failed check: `value`, `at_most`, `at_least` and `unit`.",
     "expect.message": "First line of the message, unless `assertion` contains it.",
     "expect.outcome": "[How the run ended](run.md#how-a-run-ends).",
@@ -169,10 +169,10 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.side, expect.closing_speed": "Side of the ego that was hit, and closing speed [m/s].",
     "expect.situation": "Positions and speeds shortly before the failure. A replay that passes checks whether [this "
     "situation occurred](../explanation/findings.md).",
-    "expect.responsibility, expect.fault": "Who is [responsible](../explanation/verdicts.md) for the collision, and "
-    "the rule if it is the ego.",
+    "expect.responsibility, expect.fault": "Side that is [responsible](../explanation/verdicts.md) for the "
+    "collision, and the rule that the ego broke.",
     "expect.mistake": "Driving error of the ego, if `fault` is `entered-lane`.",
-    "expect.npc_manoeuvre, expect.ego_manoeuvre": "Manoeuvres shortly before the collision.",
+    "expect.npc_manoeuvre, expect.ego_manoeuvre": "`lane-change` or `lane-keeping`, shortly before the collision.",
     "expect.takeover": "Latest time before the impact [s] at which [a careful driver](../explanation/findings.md) "
     "could take over and reliably avoid it. `0.0` if there is none in the last 3 s.",
     "expect.against": "Reference policy that passed, such as `module:factory`.",
@@ -183,14 +183,14 @@ FILE_TEXTS: Mapping[str, str] = {
     "found.worst_closing_speed": "Highest closing speed [m/s] of all runs with this failure in the search.",
     "found.versions": "Versions of the packages on which the run depends, and of the rules of responsibility.",
     "perception": "Arguments of [`pafot.Perception`](../guide/planners.md) that differ from the defaults.",
-    "shrunk.rollouts, shrunk.before": "Number of runs for shrinking, and size of the scenario before.",
+    "shrunk.rollouts, shrunk.before": "Number of runs used for shrinking, and size of the original scenario.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md) were tried.",
     "rate": "How often [a random policy](../guide/triage.md) failed: `failing` of `runs`. Each run had a different "
     "seed, unless the file is `flaky`.",
     "flaky": "Difference between two runs of the scenario. Remove this line once the failure is repeatable.",
     "test": "Node id of the test. Only the folder determines which test replays the file.",
     "world": "`kind` and arguments of the [world](worlds.md).",
-    "xfail": "`reason` for which you [accept the failure](../guide/triage.md), and last day (`until`).",
+    "xfail": "`reason` for [accepting the failure](../guide/triage.md), and the last day (`until`).",
 }
 """Meanings of the keys of a corpus file."""
 
@@ -220,7 +220,7 @@ def sections() -> dict[str, str]:
         "limits": _fields_table(NpcLimits),
         "simulator-world": _fields_table(SimulatorWorld),
         "simulator": _fields_table(Simulator),
-        "drive": _fields_table(Drive),
+        "lane-command": _fields_table(LaneCommand),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),
         "perception": _fields_table(Perception),
@@ -360,7 +360,7 @@ def _option_default(option: Option) -> str:
     plain = "none" if option.default is None else f"`{option.default}`"
     stated = {
         "runs": f"`{RUNS}`",
-        "shrink_rollouts": "depends on the policy",
+        "shrink_runs": "depends on the policy",
     }
     return stated.get(option.name, plain)
 

@@ -105,7 +105,7 @@ def shots(browser: Browser, page: Path, story: Story) -> Iterator[tuple[str, byt
 def _prepare(page: Page, before: float) -> None:
     """Go to the moment so long before the event [s], and remove paths of this machine and the date from the page."""
     page.evaluate(
-        "for (const each of document.querySelectorAll('.campaigns .copyline, .campaigns dl div'))"
+        "for (const each of document.querySelectorAll('.searches .copyline, .searchs dl div'))"
         "  if (each.matches('.copyline') || each.textContent.startsWith('written')) each.remove();"
         "document.querySelector('h1').textContent = document.querySelector('h1').textContent.replace(/^.*: /, '');"
     )

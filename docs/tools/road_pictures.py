@@ -24,13 +24,13 @@ DOCS = Path(__file__).parents[1]
 sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot import Run, World  # noqa: E402
+from pytest_pafot.algorithms import sample  # noqa: E402
 from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.sighting import Observed, Seen  # noqa: E402
 from pytest_pafot.findings.verdict import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402
-from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
 
 ENVIRONMENTS = (

@@ -18,20 +18,19 @@ from pytest_pafot.attribution.responsibility import (
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import Trace
 
-# The manoeuvre of a vehicle shortly before an event, in a few words that distinguish kinds of failures.
-
+# The manoeuvre of a vehicle shortly before an event, which distinguishes kinds of failures.
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
-# A lane change belongs to an event if it occurs at most this long before it [s]. At motorway speed it takes about 2 s.
+# A lane change belongs to an event at most this time after it [s]. At motorway speed, a lane change takes about 2 s.
 WINDOW_SECONDS = 4.0
 
-# A vehicle that moves sideways by at most this distance within WINDOW_SECONDS keeps its lane [m]. The value is half of
-# the free width of a lane.
+# A vehicle keeps its lane if it moves sideways by at most this distance within WINDOW_SECONDS [m], half of the free
+# width of a lane.
 DISPLACEMENT = 1.0
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
-    """Return what a vehicle (0: the ego, ``i + 1``: NPC ``i``) did at a tick or shortly before."""
+    """Return the manoeuvre of a vehicle (0: the ego, ``i + 1``: NPC ``i``) at a tick or shortly before it."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
     return "lane-change" if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT else "lane-keeping"
 
@@ -49,8 +48,8 @@ NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     }
 )
 
-# The other two faults, a lane change and not giving way, stand for several mistakes each. They depend on the position
-# of the other vehicle.
+# The faults with only one mistake. The mistake of the other two faults, a lane change and not giving way, depends on
+# the position of the other vehicle.
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
         "leader-unanswered": "kept-no-distance",
@@ -63,18 +62,18 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """Return the ego's mistake, given the verdict on its collision, or None if it is not responsible."""
+    """Return the ego's mistake in a collision with this verdict, or None if the ego is not responsible."""
     npc = None if trace.collision is None else trace.collision.npc
     if npc is None or attribution.fault is None or attribution.tick is None:
         return None
     if attribution.fault in BY_FAULT:
         return BY_FAULT[attribution.fault]
-    # The other faults have several mistakes each, which the position of the other vehicle tells apart.
     zone = trace.zones[npc] if trace.zones else None
     if attribution.fault == "did-not-give-way":
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, tick = frame_of(trace), attribution.tick
-    # When the ego crossed the line: more than NEXT_TO between the boxes is ahead, entirely behind the ego is behind.
+    # When the ego crossed the line, the other vehicle was ahead if the gap was above NEXT_TO, and behind if all of it
+    # was behind the ego.
     ahead, both = frame.ahead[npc, tick], frame.half_lengths(npc)[tick]
     if ahead > both + NEXT_TO:
         return "kept-no-distance"
@@ -88,13 +87,13 @@ def attributed(trace: Trace) -> Attribution:
 
 
 def decided(found: Attribution, seconds: float | None) -> Attribution:
-    """Return the verdict after a careful driver has settled a contested one.
+    """Return the verdict after a careful driver has decided a contested one.
 
     ``seconds`` is the latest takeover that avoids the collision [s before the impact]; 0 if none does, None if unknown.
     """
     if found.contested is None or seconds is None:
         return found
-    # If no takeover helps, the ego had no time. If one does, it shares the responsibility that the rules left open.
+    # If no takeover helps, the ego had no time. If one does, the ego shares the responsibility.
     if not seconds:
         return replace(found, responsibility="npc", fault=None, mistake=None, takeover=seconds)
     fault = found.contested

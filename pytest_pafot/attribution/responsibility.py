@@ -1,4 +1,4 @@
-"""Responsibility for a collision, by five rules that read only the trace of the run.
+"""Responsibility for a collision, according to five rules that read only the trace of the run.
 
 docs/explanation/verdicts.md states the rules, their numbers and the sources.
 """
@@ -63,7 +63,7 @@ DELAY, DELAY_AFTER_CUT_IN = 1.0, 1.4
 HARDEST = 6.0
 # The usual headway of two seconds to a leader of equal speed must never be a fault. With these values it is safe up to
 # 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower accelerates during its response time, which would
-# require more than two seconds. A leader brakes at 8 m/s^2 at most, the hardest that NPCs can.
+# require more than two seconds. A leader brakes at 8 m/s^2 at most, like an NPC.
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=HARDEST, hardest_braking=8.0)
 # The braking [m/s^2] that a lane change, or a vehicle at a junction, may impose on another vehicle, and the time until
 # that braking starts [s] (UN R79, 5.6.4.7).
@@ -78,14 +78,14 @@ RECENT, SOON = 2.0, 6.0
 BLOCKED, SLOWED = 0.3, 2.0
 # A vehicle ahead or behind with at most this gap is next to the one that changes lanes [m].
 NEXT_TO = 2.0
-# Braking is hard above this deceleration [m/s^2], since a careful driver needs no more to keep its distance, if it
-# continues for at least this time [s].
+# Braking is hard above this deceleration [m/s^2] for at least this time [s]. A careful driver needs no more to keep the
+# distance.
 HARD, HARD_SECONDS = 4.0, 0.4
 # STANDING_SPEED: a vehicle is stationary up to this speed [m/s]. LONG: the time after which it has been stationary, or
 # has led in its new lane, for long [s].
 STANDING_SPEED, LONG = 0.1, 3.0
-# A vehicle ahead is a reason to brake if it is closer than this, as a time to collision or at the ego's own speed [s].
-# Below the second number it always is [m].
+# NEAR_SECONDS: a vehicle ahead is near below this time [s], at the closing speed or at the ego's own speed.
+# STANDSTILL_GAP: a smaller gap is always a reason to brake [m].
 NEAR_SECONDS, STANDSTILL_GAP = 4.0, 5.0
 # An NPC behind a needlessly braking ego caused the danger itself if it accelerates by more than this [m/s].
 DROVE_ON = 1.0
@@ -93,7 +93,7 @@ DROVE_ON = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """The responsibility for a collision and what happened.
+    """The responsibility for a collision, with the facts that decide it.
 
     Attributes:
         responsibility: side that is responsible for the collision.
@@ -148,7 +148,7 @@ def rss_rule(trace: Trace) -> Attribution:
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     found = Conflict(trace, npc).verdict if zone is None else _where_ways_meet(trace, npc, zone)
-    # The rules excuse an ego that ran into an NPC if it had no time. Whether it had can only be simulated.
+    # The rules excuse an ego that ran into an NPC if it had no time. Only a simulation can show that it had time.
     is_contested = hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
     return Attribution(
         responsibility=found.responsibility,
@@ -173,7 +173,7 @@ def position_rule(trace: Trace) -> Responsibility:
     return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
 
 
-@lru_cache(maxsize=1)  # verdict, mistake and situation of one run need it in succession
+@lru_cache(maxsize=1)  # the verdict, the mistake and the situation of one run need it in succession
 def frame_of(trace: Trace) -> RoadFrame:
     """Return a run's longitudinal and lateral positions and velocities."""
     return RoadFrame(trace)
@@ -205,7 +205,6 @@ class Conflict:
 
     @cached_property
     def verdict(self) -> Ruling:
-        """The verdict by rules 2 to 5."""
         ego, npc = self._moved_in(0), self._moved_in(self._npc)
         # Rule 2: a lane change counts unless the danger started only after the two were in the same track.
         if max(ego, npc) >= 0 and max(ego, npc, self._met) >= self.danger:
@@ -276,7 +275,7 @@ class Conflict:
         side = 1.0 if frame.right[npc - 1, max(tick - 1, 0)] >= 0 else -1.0
         drifts = side * frame.drift[0, tick], -side * frame.drift[npc, tick]
         moves = [drift >= DRIFTING for drift in drifts]
-        # If neither moved sideways, the one over the line of its lane is responsible; if neither is, the NPC.
+        # If neither moved sideways, the vehicle over the line of its lane is responsible, or else the NPC.
         if moves[0] == moves[1] and not moves[0]:
             tracks, lanes = self._trace.road.track[tick, :, OFFSET], self._trace.states[tick, :, LANE].astype(int)
             for index, (vehicle, way) in enumerate(((0, side), (npc, -side))):
@@ -308,12 +307,12 @@ class Conflict:
         return bool((back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any())
 
     def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
-        # The first tick, and the tick after the last, of each; relative to `first`.
+        # The first tick of each, and the tick after its last, relative to `first`.
         found = stretches(braking(self._trace, vehicle)[first : self._end + 1] > HARD)
         return [(begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz]
 
     def _npc_followed(self, duty: int, found: Ruling, *, moved_in: bool = False) -> Ruling:
-        # Rule 4. The NPC has to respond from the tick `duty`. One that moved in behind the ego chose its own distance.
+        # Rule 4. The NPC has to respond from the tick `duty`. If it moved in behind the ego, it chose the distance.
         needless = self._needless
         if needless is None:
             return found
@@ -349,7 +348,7 @@ class Conflict:
 
 
 def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Return at each of the ticks whether the ego had a reason to brake."""
+    """Return whether the ego had a reason to brake, for each of the ticks."""
     frame = frame_of(trace)
     speed, others = frame.speed[0, ticks], frame.speed[1:, ticks]
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
@@ -403,7 +402,7 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
     is_in_zone = ego.is_inside and other.is_inside
     has_merged = zone.kind == "merging" and lane is not None
     if ego.has_entered and other.has_entered and (is_in_zone or has_merged):
-        # The holder of the right of way never has to give way, but it must not drive into an occupied zone either.
+        # The vehicle with the right of way never has to give way, but it must not drive into an occupied zone either.
         pairs = ((ego, other), (other, ego))
         holder = {"ego": ego, "npc": other}.get(zone.priority)
         owing = [own.vehicle for own, it in pairs if own is not holder and own.did_not_give_way(it)]
@@ -447,12 +446,12 @@ class Passing:
         return int(could[-1]) if could.size else -1
 
     def _foreseen(self, tick: int, time: float) -> float:
-        # The position [m] at a time [s], if the vehicle keeps its speed at the tick.
+        # The position [m] at a time [s], if the vehicle keeps the speed that it has at the tick.
         speed = max(float(self.speeds[tick]), 0.0)
         return float(self.places[tick]) + (speed * (time - tick / self._hz) if speed else 0.0)
 
     def did_not_give_way(self, other: Passing) -> bool:
-        """Return whether the vehicle should have stopped for the other, given what it could foresee."""
+        """Return whether the vehicle should have stopped for the other one, as it could foresee."""
         # Everything is foreseen at the last chance to stop before the zone.
         chance, hz, entry = max(self._stops(self.entry, self.begins), 0), self._hz, self.entry
         out, speed = np.flatnonzero(self.places[entry:] >= self.ends), float(self.speeds[-1])

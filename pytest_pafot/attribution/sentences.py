@@ -21,12 +21,12 @@ from pytest_pafot.support.text import capitalised, listed
 # other, braked or stopped without a reason, entered a conflict zone, or touched the other outside the zone.
 Happened = Literal["moved", "close", "sideways", "braked", "stopped", "entered", "elsewhere"]
 
-# Who is responsible, as headlines and the report page say it.
+# The responsible side, as named in headlines and on the report page.
 AT_FAULT: Mapping[str, str] = MappingProxyType(
     {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "neither at fault"}
 )
 ALSO = "There was also a collision in this run."
-"""The sentence in front of a collision's headline, if the run failed for another reason."""
+"""The sentence before the headline of a collision, if the run failed for another reason."""
 STOOD = "stood still"
 # BRAKES: smallest deceleration that sentences call braking [m/s^2]. TOLD: they cover at least this time before the
 # impact [s]. PHASES: the largest number of phases of a vehicle's speed that they list, the last ones.
@@ -56,7 +56,7 @@ def impact(
     closing: float | None = None,
     way: str = "",
 ) -> str:
-    """Return who hit whom, when and how fast, as all headlines say it.
+    """Return the headline of a collision: who hit whom, when and how fast.
 
     Args:
         time: time of the impact [s].
@@ -133,7 +133,7 @@ def sentences_on(
     is_ahead = crosses or bool(ahead[since] > 0)
     deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
     told.append(f"{named(npc + 1)}{where} {deed}{left}.")
-    # Then the ego. How late it braked shows in the distance to a vehicle ahead of it in its track.
+    # Then the ego. The distance to a vehicle ahead of it in its track shows how late it braked.
     gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
     told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, named(npc + 1))}.")
     return tuple(capitalised(sentence) for sentence in told)
@@ -147,7 +147,7 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
         times.append(last_stretch(places >= begins) / trace.physics_hz)
     where, whom = "merge" if zone.kind == "merging" else "crossing", named(npc + 1)
     holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
-    entered = f"the ego entered the {where} at {times[0]:.1f} s, {whom} {zone.whence} at {times[1]:.1f} s"
+    entered = f"the ego entered the {where} at {times[0]:.1f} s, and {whom} {zone.whence} at {times[1]:.1f} s"
     return [f"{entered}. {holder} had priority."]
 
 
@@ -161,13 +161,13 @@ def _deed(
     is_ahead: bool = False,
     is_told: bool = False,
 ) -> str:
-    # How the speed changed up to the impact, phase by phase. With `gaps` to a leader [m], braking is measured.
+    # The changes of speed up to the impact, phase by phase. With `gaps` to a leader [m], braking is stated in numbers.
     part, told, has_braked = np.maximum(speeds[since:], 0.0), list[str](), False
     for begin, end in pairwise([*_turns(part), len(part) - 1]):
         change = float(part[end] - part[begin])
-        if not abs(change) >= LOST:  # nor if it is not a number
+        if not abs(change) >= LOST:  # also if the change is NaN
             continue
-        # It may have kept its speed at first, for long enough to be mentioned.
+        # If it kept its speed at first, this is mentioned if it lasted long enough.
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin

@@ -8,30 +8,30 @@ import numpy as np
 
 from pytest_pafot.model.trace import Outcome, Trace
 
-# It keeps its lane, and its distance to vehicles ahead (UN R157, annex 4, appendix 3).
+# The name of the careful driver, who keeps the lane and the distance to vehicles ahead (UN R157, annex 4, appendix 3).
 CAREFUL = "careful-human"
 
 # The time between two takeovers that are tried, and the earliest one before the impact [s].
 STEP, WINDOW = 0.25, 3.0
-# So many takeovers in a row must avoid the collision, so that none does so by chance.
+# This many takeovers in a row must avoid the collision, so that a single success by chance does not count.
 IN_SUCCESSION = 3
-# The careful driver must not touch any vehicle for so long after the recorded impact [s].
+# The careful driver must not touch any vehicle for this time after the recorded impact [s].
 AFTER = 4.0
 
 # A world may end a run one tick earlier than requested, so runs are longer by this many ticks.
 LEEWAY = 2
-# The largest difference between the states of a run and of its repetition: some environments compute sines differently.
+# The largest difference between the states of a run and its repetition. Some environments compute sines differently.
 ROUNDING = 1e-6
 
 
 class TakeOver(Protocol):
-    """A function that simulates a run again, with the careful driver from a tick on."""
+    """A function that simulates a run again, and lets the careful driver take over at a tick."""
 
     def __call__(self, trace: Trace, tick: int, /) -> Trace:
-        """Simulate the run with the careful driver from this tick on."""
+        """Simulate the run with the careful driver from this tick."""
 
     def lasting(self, seconds: float, /) -> TakeOver:
-        """Return the function for runs of this duration [s]."""
+        """Return the same function for runs of this duration [s]."""
 
 
 def latest(trace: Trace, take_over: TakeOver) -> float | None:
@@ -56,7 +56,7 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
 
 
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
-    """Return the run in which the careful driver takes over, or None if the start is not repeated exactly."""
+    """Return the run in which the careful driver takes over, or None if its start differs from the recorded start."""
     tick = _tick(trace, seconds)
     # The run must not end before it is known that the driver touches no vehicle.
     taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
@@ -84,7 +84,7 @@ def _until(trace: Trace) -> int:
 
 
 def _avoids(taken: Trace, trace: Trace) -> bool | None:
-    # None: the run ended before that was known. A third vehicle that hits the ego's rear is no failure of its driver.
+    # None if the run ended too early. A third vehicle that hits the ego's rear is not the fault of the ego's driver.
     hit, then = taken.collision, trace.collision
     is_hit = hit is not None and hit.tick <= _until(trace)
     if hit is not None and is_hit and (then is None or hit.npc == then.npc or hit.side != "rear"):

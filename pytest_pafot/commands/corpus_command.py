@@ -18,10 +18,10 @@ from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.support.files import Since, added_in, way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, visible, wrapped_to
 
-# The line `xfail:` in a file, or the comment that is there without one.
+# The line `xfail:` of a file, or the comment in its place.
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 
-# The exit code if a path is not a folder. Wrong arguments have the same one.
+# The exit code if a path is not a folder, as for invalid arguments.
 NO_FOLDER = 2
 
 COLUMNS = ("id", "test", "since")
@@ -36,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "accept the failures of saved scenarios, so that they are expected to fail until a given day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept this saved scenario, given as a file or an id")
+    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept the failure of this scenario (a file or an id)")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="give a reason, such as an issue number")
-    of_until = "expect the failures until the end of this day, which must not be over"
+    of_until = "expect the failures until the end of this day, which must not be in the past"
     accepting.add_argument("--until", required=True, type=_last_day, metavar="YYYY-MM-DD", help=of_until)
 
 
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return max(_accept(name, arguments.reason, arguments.until) for name in arguments.ids)
     for folder in arguments.folders:
         if not folder.is_dir():
-            sys.stderr.write(f"corpus: expected a folder that exists, received {visible(str(folder))}\n")
+            sys.stderr.write(f"corpus: expected an existing folder, received {visible(str(folder))}\n")
             return NO_FOLDER
     unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
     for place, why in unlisted.items():
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -> Iterator[str]:
-    # A row for each saved scenario, and below it what failed, or why the file cannot be read.
+    # A row for each saved scenario, and below it the failure, or the reason why the file cannot be read.
     rows, texts = [COLUMNS], [""]
     for each, since in zip(saved, sinces, strict=True):
         finding = each.finding
@@ -88,7 +88,7 @@ def _last_day(text: str) -> date:
 
 
 def _accept(name: str, reason: str, until: date) -> int:
-    # Only the line `xfail:` changes, so that comments and the order of keys in the file stay.
+    # Only the line `xfail:` changes, so that the file keeps its comments and the order of its keys.
     try:
         path = named_file(name)
         content = content_of(path)
@@ -99,10 +99,10 @@ def _accept(name: str, reason: str, until: date) -> int:
             XFAIL_LINE.sub(lambda _: line, content, count=1) if is_there else content.rstrip() + b"\n" + line + b"\n"
         )
         if parsed(path, accepted) != finding:
-            raise ValueError(f"{path}: expected one line `xfail:`, received more. Write `{line.decode()}` by hand")
+            raise ValueError(f"{path}: expected one line `xfail:`, received several. Write `{line.decode()}` by hand")
         write_whole(path, accepted)
     except OSError as error:
-        fix = way_out(error, "then accept it again")
+        fix = way_out(error, "then run the command again")
         sys.stderr.write(
             f"corpus: {visible(name)}: expected a writable file, received {error.strerror or error}; {fix}\n"
         )

@@ -1,4 +1,4 @@
-"""The names of policies and worlds on the command line."""
+"""The policies, worlds and checks on the command line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_pafot.support.text import meant
 # The exit code for wrong arguments, as in argparse.
 BAD_USE = 2
 
-# The package of example policies. It is at the top of a clone, or inside this package if that is installed.
+# The package of example policies. It is in the top folder of a clone, or inside this package if it is installed.
 EXAMPLES = "example_ads"
 
 # The end of the help of commands.
@@ -25,8 +25,8 @@ ABOUT_POLICIES = (
     "A factory makes a new policy for each run, for example a class with the method __call__(self, observation). A "
     "policy returns (acceleration [m/s^2], steering [rad]). The observation has time, ego, others, lanes, lane_width "
     "and speed_limit. The ego and each other vehicle have x, y, speed, heading, lane, length and width, in SI units. "
-    "Steering, y and lanes are positive to the right. With an environment as --world, a policy receives and returns "
-    "what the environment defines, unless the name of the policy ends with @planner."
+    "Steering and y are positive to the right, and lanes are numbered from left to right. With an environment as "
+    "--world, a policy uses the observations and actions of that environment, unless its name ends with @planner."
 )
 
 
@@ -70,11 +70,10 @@ def whole_name(reference: str) -> str:
 def add_world_arguments(
     parser: argparse.ArgumentParser, note: str, *, is_needed: bool = False, has_config: bool = True
 ) -> None:
-    """Declare ``--world`` and ``--config``; ``note`` is about this command."""
+    """Declare ``--world`` and ``--config``. ``note`` is the end of the help text of ``--world``."""
     parser.epilog = ABOUT_POLICIES
     of_world = "drive in this world: the id of a highway-env environment such as highway-v0, module:id if that module "
-    of_world += "registers it, or module:factory for a factory of a pafot.World or a pafot.SimulatorWorld "
-    of_world += f"({note})"
+    of_world += f"registers it, or module:factory for a factory of a pafot.World or a pafot.SimulatorWorld ({note})"
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
     of_config = "set options of the environment that --world names by id, as in gymnasium.make"
     if has_config:
@@ -98,7 +97,7 @@ def chosen_world(
         ads_factory(each)
     options = config_of(config)
     if reference is not None:
-        from pytest_pafot.campaign.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
+        from pytest_pafot.searches.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
 
         return named_world(reference, "--world", config=options, is_planner=is_planner)
     if options is not None:
@@ -117,8 +116,8 @@ def check_function(reference: str) -> Callable[..., Any]:
         RequestError: if there is no such function.
     """
     if reference.count(":") != 1:
-        raise RequestError(f"--check: expected module:function for a function of a run, received {reference!r}")
-    function = ads_factory(reference, "--check", "a function of a run")
+        raise RequestError(f"--check: expected module:function, received {reference!r}. The function must take a run")
+    function = ads_factory(reference, "--check", "a function that takes a run")
     check_asserts(function)
     return function
 
@@ -131,21 +130,22 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     """
     if text is None:
         return None
+    expected = "--config: expected JSON such as '{\"vehicles_count\": 20}'"
     try:
         config = json.loads(text, parse_constant=_refuse)
-    except ValueError as error:  # which a JSONDecodeError is, too
-        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
+    except ValueError as error:  # includes JSONDecodeError
+        raise RequestError(f"{expected}, received {text!r:.100} ({error})") from None
     if not isinstance(config, dict):
-        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
+        raise RequestError(f"{expected}, received {config!r:.100}")
     return config
 
 
 def _refuse(constant: str) -> None:
-    raise ValueError(f"received {constant}")  # NaN or Infinity, which Python reads and JSON does not have
+    raise ValueError(f"JSON has no {constant}")  # NaN or Infinity, which Python reads
 
 
 def worker_count(given: int | None) -> int:
-    """Return the number of processes for ``--workers``, by default one for each core.
+    """Return the number of processes for ``--workers``, by default one per core.
 
     Raises:
         RequestError: if the number is less than one.

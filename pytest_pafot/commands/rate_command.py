@@ -22,9 +22,10 @@ from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.episode import Episode, drive_episode
 
-# The largest number of seeds in a line.
+# The maximum number of seeds in a line.
 SHOWN = 10
-# A process runs so many episodes at a time. A policy is rejected if it fails in all of the first ones.
+# The number of episodes that a process runs at a time. A policy is rejected if it fails in all episodes of the first
+# chunk.
 CHUNK = 10
 
 
@@ -40,7 +41,7 @@ class Rate:
 
     @property
     def failed(self) -> dict[int, str]:
-        """Why episodes were not completed, by seed."""
+        """The reasons why episodes were not completed, by seed."""
         return {each.seed: why for each in self.episodes if (why := each.error.text if each.error else each.undriven)}
 
     @property
@@ -55,7 +56,7 @@ class Rate:
 
     @property
     def lines(self) -> list[str]:
-        """The rate, the seeds of the crashes, and the errors, in words."""
+        """The lines about the rate, the seeds of the crashes, and the errors."""
         crashes = f"none of {plural(len(self.episodes), 'episode')} was completed"
         if self.driven:
             share = interval_text(len(self.crashed), self.driven)
@@ -65,7 +66,7 @@ class Rate:
             lines.append(f"  seeds of the crashes: {_shown(self.crashed)}")
         if self.failed:
             lines.append(
-                f"  {plural(len(self.failed), 'episode')} did not start or ended with an error, and do not count. "
+                f"  not counted: {plural(len(self.failed), 'episode')} that did not start or ended with an error. "
                 f"Seeds: {_shown([*self.failed])}. First reason: {next(iter(self.failed.values()))}"
             )
         return lines
@@ -86,9 +87,9 @@ def compared(first: Rate, others: Sequence[Rate]) -> list[str]:
     # Holm's method adjusts the p-values of several comparisons.
     of_all = f", Holm for {len(others)}" if len(others) > 1 else ""
     return [
-        f"on the same seeds, {only} crashed only with {first.ads}, {only_other} only with {other.ads}, {both} with "
-        f"both and {neither} with neither: p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'} (McNemar, exact, "
-        f"two-sided{of_all})"
+        f"on the same seeds, {plural(only, 'episode')} crashed only with {first.ads}, {only_other} only with "
+        f"{other.ads}, {both} with both and {neither} with neither: p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'} "
+        f"(McNemar, exact, two-sided{of_all})"
         for other, (only, only_other, both, neither), p in zip(
             others, counts, holm([mcnemar(*count[:2]) for count in counts]), strict=True
         )
@@ -112,10 +113,10 @@ def environment_of(given: argparse.Namespace) -> World:
 
 
 def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode]:
-    """Run the episodes of a task, which are at most :data:`CHUNK` with one policy.
+    """Run the episodes of a task: at most :data:`CHUNK`, all with one policy.
 
     Raises:
-        RequestError: if they are the policy's first, and it fails in each of them.
+        RequestError: if these are the policy's first episodes, and it fails in all of them.
     """
     (name, first), world = task, environment_of(given)
     factory, is_planner = ads_factory(name), name.endswith(PLANNER) or world.planner_hz is not None
@@ -126,7 +127,7 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
         place = "".join(errors[0].traceback.rpartition("  File ")[1:]).rstrip()
         raise RequestError(
             f"{name}: expected a policy that drives, received one with an error in each of the first {CHUNK} episodes, "
-            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect it, its factory or the environment."
+            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect the policy, its factory or environment."
         )
     return episodes
 
@@ -138,12 +139,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"drive with this policy: {of_whom}")
     of_against = "also drive with this policy, on the same seeds; you can repeat this option"
     parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
-    add_world_arguments(parser, "one with an environment", is_needed=True)
+    add_world_arguments(parser, "it must be an environment", is_needed=True)
     of_episodes = "run N episodes (default: %(default)s)"
     parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
     of_seed = "start with the seed N (default: %(default)s)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
-    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one for each core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
     parser.add_argument(
         "--fail-above",
         metavar="SHARE",
@@ -159,7 +160,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
             raise RequestError(f"--{name}: expected a whole number, at least {least}, received {value}")
     names = (given.ads, *given.against)
     if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
-        raise RequestError(f"--against: expected a different policy than --ads, received {twice!r} again")
+        raise RequestError(f"--against: expected each policy only once, received {twice!r} again")
     limit, found, told = _limit_of(given), dict[str, list[Episode]](), time.monotonic()
     environment_of(given)  # errors in the options must come before the first episode
     tasks = [(name, seed) for seed in range(given.seed, given.seed + given.episodes, CHUNK) for name in names]
@@ -186,7 +187,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
 def _limit_of(given: argparse.Namespace) -> float | None:
     if given.fail_above is None:
         return None
-    # A proportion such as `2%` or `0.02`. It must be possible to exceed it with so few episodes.
+    # Parse a proportion such as `2%` or `0.02`. With too few episodes, no crash rate is significantly above it.
     number, sign, rest = given.fail_above.strip().partition("%")
     try:
         share = float(number) / (100 if sign else 1)
@@ -198,8 +199,8 @@ def _limit_of(given: argparse.Namespace) -> float | None:
         )
     if interval(given.episodes, given.episodes)[0] <= share:
         raise RequestError(
-            f"--episodes: expected more, received {given.episodes}. Even if all of them crash, so few cannot show a "
-            f"crash rate above {given.fail_above}"
+            f"--episodes: expected more episodes, received {given.episodes}. Even if all of them crash, they cannot "
+            f"show a crash rate above {given.fail_above}"
         )
     return share
 
@@ -210,13 +211,13 @@ def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
             (why, times), *_ = Counter(rate.failed.values()).most_common(1)
             yield (
                 f"expected {rate.ads} to complete most of {len(rate.episodes)} episodes, but it completed {rate.driven}"
-                f". In {times} of the others, {why}. Correct the environment, its configuration or the policy"
+                f". Reason in {times} episodes: {why}. Correct the environment, its configuration or the policy"
             )
     if limit is not None:
         errors = sum(each.error is not None for each in rates[0].episodes)
         low, _ = interval(len(rates[0].crashed), rates[0].driven)
         if errors:
-            yield f"--fail-above: expected episodes without an error, received {errors} with one"
+            yield f"--fail-above: expected episodes without an error, received {errors} with an error"
         elif low > limit:
             at_most = f"crashes in at most {100 * limit:.4g} % of the episodes"
-            yield f"--fail-above: expected {at_most}, received an interval that starts at {100 * low:.4g} %"
+            yield f"--fail-above: expected {at_most}, received a confidence interval that starts at {100 * low:.4g} %"

@@ -10,16 +10,16 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.policy_reference import add_world_arguments, chosen_world
 from pytest_pafot.commands.search_command import TEST, add_session_arguments, code_of_session, written_test
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.searches.saved_scenario import load
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
 from pytest_pafot.support.text import ascii_text
 
-# The end of the session's conftest.py. It makes the file a saved scenario of the test, without the acceptance in the
-# file.
+# The end of the session's conftest.py. It makes the file a saved scenario of the test, and ignores that its failure may
+# be accepted.
 CONFTEST = """
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.add_argument("file", metavar="FILE", help="run this saved scenario, given as a file or an id")
     parser.add_argument("--ads", metavar="ADS", help="drive with this policy: module:factory[:argument]")
-    add_world_arguments(parser, "needed if the world of the file is code, such as wrappers or your own world")
+    add_world_arguments(parser, "required if the world of the file is code, such as wrappers or your own world")
     add_session_arguments(parser, None, "the run fails, 4")
     parser.set_defaults(traffic=None)
     parser.usage = "%(prog)s FILE --ads ADS [option ...] [-- option of pytest ...]"
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise RequestError(f"--ads: expected {expected}, received none. The file itself contains no policy")
     is_end = expect.is_crash or (expect.check is None and expect.outcome in ENDS)
     if arguments.check is None and (expect.signature.is_property or not is_end):
-        expected = f"a function of a run that asserts the same as {test}, such as --check module:function"
+        expected = f"a function that takes a run and asserts the same as {test}, such as --check module:function"
         raise RequestError(f"--check: expected {expected}, received none. The failure was: {ascii_text(expect.brief)}")
     arguments.blame = "any" if expect.responsibility == "npc" else "ego"  # as in a test that found it
     name, text = written_test(arguments, "--ads", f"world=pafot.load({str(saved.path)!r}).world")

@@ -1,7 +1,7 @@
 """``python -m pytest_pafot search``: a search without test files.
 
-The session runs the file that ``--write-test`` writes, in a temporary folder. Findings go into a folder that no test of
-a project uses, until ``--write-test`` moves them.
+The session runs the file that ``--write-test`` writes, in a temporary folder. Findings are saved in a folder that no
+test of a project uses, until ``--write-test`` moves them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, RUNS
-from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
     BAD_USE,
     add_world_arguments,
@@ -32,6 +30,8 @@ from pytest_pafot.commands.policy_reference import (
 )
 from pytest_pafot.corpus.layout import CORPUS, FOUND, files_below, link_below, refusal, safe_name
 from pytest_pafot.model.vehicle_type import STYLES
+from pytest_pafot.searches.options import BY_NAME, OF_COMMAND, OPTIONS, RUNS
+from pytest_pafot.searches.request import BLAMES
 from pytest_pafot.support.errors import OF_REPLAY, OF_SEARCH, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.process import Ended, taken_receipt, undisturbed, unfinished
@@ -42,13 +42,13 @@ TEST = "test_safety.py"
 PAGE = "pafot.html"
 # The options of pytest that have a short name here.
 OWN = ("runs", "seed", "report", "against")
-# Exit codes of pytest. A session with a policy that hangs ends itself with the second. They are copied, because
-# importing pytest would slow down the help of commands.
+# Exit codes of pytest. A session with a policy that hangs ends with the second. They are copied, because importing
+# pytest would slow down `--help`.
 TESTS_FAILED, STUCK, USAGE_ERROR = 1, 2, 4
 # An interrupted session is killed if its summary takes longer [s].
 LAST_SECONDS = 30
 # `python -m pytest` as a process that leaves a receipt, since a policy may end it with the exit code 0. It ends
-# together with its parent, whose id is the first argument. The second one is the folder of its tests, for the receipt.
+# together with its parent, whose id is the first argument. The second argument is the folder for the receipt.
 PYTEST = """
 import os, signal, sys
 parent, folder = int(sys.argv.pop(1)), sys.argv[1]
@@ -98,22 +98,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, codes: str) -> None:
-    """Declare the arguments of both ``search`` and ``replay``; ``codes`` explains the exit codes."""
-    of_check = "call this function with each run, which asserts the requirements (default: no collision)"
+    """Declare the arguments of both ``search`` and ``replay``. ``codes`` explains the exit codes."""
+    of_check = "assert your requirements on each run with this function (default: no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = f"write the findings to this web page (default: {page or 'none'})"
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=page, help=of_report
     )
-    # Messages of the session name options of pytest. All that affect a search are options here, too.
+    # Messages of the session name options of pytest. All options that affect a search are also accepted here.
     for option in OPTIONS:
         if option.name not in (*OWN, "corpus", "allow_orphans"):
             given: dict[str, Any] = {"action": "append", "type": f"{option.flag}={{}}".format}
             if option.kind == "switch":
                 given = {"action": "append_const", "const": option.flag}
             parser.add_argument(option.flag, dest="options", default=[], help=argparse.SUPPRESS, **given)
-    of_others = f"You can also use the options of this package for pytest, such as {flag('isolate')}, which "
-    of_others += f"`pytest --help` lists. The exit code is 1 if {codes} for wrong arguments, and 0 otherwise."
+    of_others = f"You can also use the pytest options of this package, such as {flag('isolate')}. "
+    of_others += f"`pytest --help` lists them. The exit code is 1 if {codes} for wrong arguments, and 0 otherwise."
     parser.epilog = f"{parser.epilog} {of_others}"
 
 
@@ -144,7 +144,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if code == TESTS_FAILED and not has_test and files_below(corpus / Path(TEST).stem):
         own_words = command[: command.index("--")] if "--" in command else command
         again = shlex.join([*own_words, "--write-test"])
-        sys.stdout.write(f"keep it as a test: {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n")
+        sys.stdout.write(f"to keep this as a test, run {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n")
     return BAD_USE if code == USAGE_ERROR else code
 
 

@@ -1,4 +1,4 @@
-"""The tasks of a command, in this process or in others."""
+"""The tasks of a command, in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
 
     Raises:
         ChildProcessError: if a process ends during a task.
-        Exception: the exception of a task.
+        Exception: if a task raises it.
     """
     # With one worker, the tasks run here. Otherwise, processes are spawned on every system, so that each imports the
     # policy and no state of this process can affect a result. `work` must then be picklable.
@@ -38,8 +38,8 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
             if pool.failure or isinstance(answer, ProcessLostError):
                 ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(
-                    f"expected a worker to finish {task!r}, received: {ended}. Did the policy end its process? If the "
-                    "memory ran out, use fewer --workers"
+                    f"expected a worker to finish the task {task!r}, but {ended}. Did the policy end its process? If "
+                    "the memory ran out, use fewer --workers"
                 )
             if isinstance(answer, Exception):
                 raise answer
@@ -47,5 +47,5 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
 
 
 def _run(work: Callable[[Any], Any], scratch: str, task: Any, tell: object) -> Any:
-    tempfile.tempdir = scratch  # deleted with the command, since a killed worker deletes no files
+    tempfile.tempdir = scratch  # deleted at the end of the command, because a killed worker deletes no files
     return work(task)

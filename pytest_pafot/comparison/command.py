@@ -10,11 +10,11 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from pytest_pafot.campaign.request import BLAMES
+from pytest_pafot.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.commands.policy_reference import add_world_arguments, worker_count
 from pytest_pafot.commands.tasks import finished
 from pytest_pafot.comparison.plan import COLUMNS, DIFFERENT, Plan, Row, run_rows
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
+from pytest_pafot.searches.request import BLAMES
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.text import csv_text, visible
@@ -29,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"compare these algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class. The runs of "
-        "NAME@S last S seconds, and NAME@paper has the paper's scenarios. The first algorithm is compared with each "
-        "of the others (default: %(default)s)",
+        help=f"compare these algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class. Use NAME@S for "
+        "runs of S seconds, and NAME@paper for the paper's scenarios. The first algorithm is compared with each of the "
+        "others (default: %(default)s)",
     )
     of_ads = "test this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     plan = Plan(**{**given, "algorithms": names})
     plan.check()
     workers, folder = worker_count(arguments.workers), arguments.out
-    # Errors on the command line are reported before the user installs anything for it.
+    # Errors on the command line are reported first, before the user has to install anything.
     missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
     if missing:
         raise RequestError(

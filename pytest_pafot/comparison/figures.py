@@ -39,7 +39,6 @@ class Style(NamedTuple):
 
     @property
     def curve(self) -> dict[str, Any]:
-        """The keyword arguments of matplotlib for lines in this style."""
         return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
@@ -61,7 +60,7 @@ def _algorithms(results: Results) -> Iterator[tuple[str, Style, pd.DataFrame]]:
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
-    """Write every figure as PNG. Return the titles by file name without the suffix."""
+    """Write every figure as PNG. Return the titles of the figures by their file names without the suffix."""
     with mpl.rc_context(SETTINGS):
         for name, (_, draw) in FIGURES.items():
             figure, buffer = Figure(figsize=(6.0, 3.6), layout="constrained"), BytesIO()

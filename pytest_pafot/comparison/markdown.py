@@ -67,7 +67,7 @@ def _head(results: Results, command: Sequence[str]) -> str:
 ```
 
 {plan.runs} runs of each algorithm, {plan.seconds:g} simulated seconds each, base seed {plan.seed}. All numbers are for
-the same simulated time: only scenarios count that end in the first {results.horizon:.0f} s, because the shortest run
+the same simulated time: only scenarios that end in the first {results.horizon:.0f} s count, because the shortest run
 is that long. Failures in the search are {HITS[plan.blame]}, and exceptions and hangs of the ADS.
 {packages}.
 

@@ -1,4 +1,4 @@
-"""The plan of a comparison, and its runs, each of which is a search by one algorithm."""
+"""The plan of a comparison. Each run in it is a search by one algorithm."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from pytest_pafot.campaign.explore import AlgorithmRun
-from pytest_pafot.campaign.harness import SetupFaultError
-from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
 from pytest_pafot.oracle.run import Run, require
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.searches.explore import AlgorithmRun
+from pytest_pafot.searches.harness import SetupFaultError
+from pytest_pafot.searches.request import drawn_space
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import plural
@@ -23,10 +23,10 @@ from pytest_pafot.world import Highway, World
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 
-# The warning if the algorithms have several kinds of scenarios.
+# The warning if the algorithms have different scenarios.
 DIFFERENT = (
-    "the algorithms have different scenarios, so the scenarios may cause differences between these groups. "
-    "Use NAME@paper for an algorithm with the paper's scenarios"
+    "the algorithms have different scenarios, which may be the reason for differences between these groups. "
+    "Use NAME@paper to give an algorithm the paper's scenarios"
 )
 PAPER = "paper"  # after the `@` of an algorithm with the paper's scenarios
 
@@ -48,7 +48,7 @@ def never_collides(blame: str, run: Run) -> None:
 
 
 class Entrant(NamedTuple):
-    """A participant of a comparison: an algorithm, the duration of its runs, and its scenarios."""
+    """A participant in a comparison: an algorithm, the duration of its runs, and its scenarios."""
 
     algorithm: AlgorithmClass
     seconds: float | None = None  # duration of its runs [s]; None for the world's duration
@@ -93,8 +93,8 @@ class Plan:
     seed: int = 0  # the base seed, from which the seeds of all runs are derived
     blame: str = "any"  # `any` counts all collisions as failures, as the paper does; for `ego` see `pafot.search`
     fitness: str | None = None  # the fitness of all algorithms; None for the fitness of each algorithm
-    world: str | None = None  # as on the command line, like the next
-    config: str | None = None
+    world: str | None = None  # as on the command line
+    config: str | None = None  # as on the command line
     duration: float | None = None  # duration of a scenario [s]; None for the duration of the world
     clearance: float | None = None  # clearance of the grid [m]; None for the clearance of the world
 
@@ -112,7 +112,7 @@ class Plan:
         """Return the world of all algorithms that have no duration of their own.
 
         Raises:
-            RequestError: for a value that no world accepts.
+            RequestError: if an option has a value that the world does not accept.
         """
         road = {name: value for name in ("duration", "clearance") if (value := getattr(self, name)) is not None}
         world = chosen_world(self.world, self.config, [self.ads], is_planner=self.ads.endswith(PLANNER))
@@ -131,7 +131,7 @@ class Plan:
         return world  # type: ignore[no-any-return]
 
     def setting(self, name: str) -> tuple[BaseWorld, SearchSpace]:
-        """Return the world and the space of scenarios of one of the :attr:`names`."""
+        """Return the world and the space of scenarios for one of the :attr:`names`."""
         entrant, own = self._entrant(name), self.made_world()
         space, seconds = own.space({}), entrant.seconds
         if not (entrant.is_papers or entrant.algorithm.is_papers):
@@ -140,12 +140,12 @@ class Plan:
             return own, space
         if not isinstance(own, Highway | World):
             raise RequestError(
-                f"--algorithms: expected no seconds after the @ in a simulator of your own, but received {name}. Let "
-                "the factory of the world make one with such runs, and compare there."
+                f"--algorithms: expected no seconds after the @ with a simulator of your own, but received {name}. Set "
+                "the duration in the factory of the world instead."
             )
         world = replace(own, duration=seconds)
-        # All genes are equally long, in whole ticks, and not longer than the genes of the plan. Sampled durations stay
-        # sampled.
+        # All genes are equally long, in whole ticks, and not longer than the genes of the plan. If durations are
+        # sampled, this does not change.
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
@@ -155,7 +155,7 @@ class Plan:
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
-        """The names of the algorithms, by the description of their scenarios."""
+        """The names of the algorithms, grouped by the description of their scenarios."""
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
@@ -168,7 +168,7 @@ class Plan:
         return found
 
     def run(self, name: str, number: int) -> AlgorithmRun:
-        """Return a run of one of the :attr:`names`.
+        """Return a run for one of the :attr:`names`.
 
         Raises:
             ValueError: if the algorithm or the fitness cannot be used.
@@ -188,7 +188,7 @@ class Plan:
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:
-        """Return the seed of one run. Runs of different algorithms are independent samples."""
+        """Return the seed of one run, so that runs of different algorithms are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 

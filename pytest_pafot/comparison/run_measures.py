@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 import scipy  # it imports its parts on first use, which takes a second
 
+from pytest_pafot.algorithms.evaluation import IMMEDIATE
 from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching.evaluation import IMMEDIATE
 from pytest_pafot.support.proportions import holm
 
 SECONDS_PER_HOUR = 3600.0
@@ -55,14 +55,14 @@ def read_rows(path: Path) -> pd.DataFrame:
 
 
 def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
-    """Yield an error for each algorithm if the ego did not drive in most of its scenarios."""
+    """Yield an error for each algorithm for which the ego did not drive in most scenarios."""
     is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
     ended = rows["ended"].astype(object)
     lacks = ended.where(ended.notna(), rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
     for name, each in lacks.groupby(rows["algorithm"], sort=False):
         if 2 * each.count() > len(each):
             yield (
-                f"expected the ego to drive in most of {len(each)} scenarios of {name}, but {each.count()} were "
+                f"expected the ego to drive in most of the {len(each)} scenarios of {name}, but {each.count()} were "
                 f"invalid or over within the first second (most often: {each.mode()[0]}). Correct the policy or the "
                 "world, and choose another folder for --out."
             )
@@ -99,7 +99,7 @@ def rows_of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def first_failures(runs: pd.DataFrame, seconds: float) -> tuple[list[float], list[bool]]:
-    """Return each run's time to the ego's first failure [s], and whether the run had none, so the time is censored."""
+    """Return each run's time to the ego's first failure [s], and whether it is censored because there was none."""
     is_censored = np.isinf(runs["first_failure"])
     return runs["first_failure"].where(~is_censored, seconds).tolist(), is_censored.tolist()
 
@@ -153,8 +153,8 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
     Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
     Statistics in Medicine 25(4), 2006, method 5.
     """
-    # A value is in the interval if the estimate is within z standard errors of it. The standard error is the one of
-    # Hanley and McNeil, with the mean of the two sizes.
+    # A value is in the interval if the estimate is within z standard errors of it. The formula for the standard error
+    # is by Hanley and McNeil, with the mean of the two sizes.
     z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
     others = (first + second) / 2 - 1
 
@@ -162,14 +162,14 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
         spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
         return float((value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second))
 
-    # At an estimate of 0 or 1, that value itself is a root, so only the other end is computed.
+    # If the estimate is 0 or 1, it is itself a root, so only the other end is computed.
     low = 0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
     high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
     return low, high
 
 
 def fisher_p(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Return p of Fisher's two-sided exact test. Each pair is the number of runs with a failure, and of all runs."""
+    """Return p of Fisher's two-sided exact test. Each pair has the numbers of runs with a failure and of all runs."""
     table = np.array([[found, runs - found] for found, runs in (first, second)])
     return float(scipy.stats.fisher_exact(table).pvalue)
 
@@ -189,10 +189,10 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """Return p of the two-sided log-rank test on times that may be censored; 1 if nothing distinguishes them."""
+    """Return p of the two-sided log-rank test on times that may be censored, or 1 if it cannot be computed."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    with np.errstate(invalid="ignore"):  # If all events are at one time, it divides 0 by a variance of 0.
+    with np.errstate(invalid="ignore"):  # if all events are at the same time, scipy divides 0 by a variance of 0
         result = scipy.stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
     return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 

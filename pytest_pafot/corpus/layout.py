@@ -29,7 +29,7 @@ MAX_NAME = 80
 DIGEST = 10
 _DIGITS = string.digits + string.ascii_lowercase
 
-# Texts, compiled when they are used: most sessions use none of them.
+# Patterns as strings, which are compiled when they are used. Most sessions use none of them.
 _PLAIN = r"[a-z0-9_](?:[a-z0-9_.,=+-]*[a-z0-9_,=+-])?"
 _WITH_PARAMETERS = r"([^@\[\]]+)\[([^@\[\]]+)\]"
 _RESERVED = r"(?i:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.@,=+~-]|$)"
@@ -37,12 +37,12 @@ _RESERVED = r"(?i:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.@,=+~-]|$)
 
 def files_in(folder: Path) -> list[Path]:
     """Return the corpus files in a folder, sorted by name."""
-    # A folder that cannot be listed has no items, and is no error yet: writing a finding into it reports the reason.
+    # A folder that cannot be listed has no items and causes no error. Writing a finding into it will report the reason.
     return [path for path in entries_of(folder) if path.name.endswith(SUFFIX)]
 
 
 def is_misnamed(name: str) -> bool:
-    """Return whether a YAML file lacks the suffix of a corpus file."""
+    """Return whether a YAML file does not have the suffix of a corpus file."""
     return name.lower().endswith((".yaml", ".yml")) and not name.endswith(SUFFIX)
 
 
@@ -75,7 +75,7 @@ def files_below(root: Path = Path(CORPUS)) -> list[Path]:
 
 
 def unlisted_below(root: Path) -> dict[Path, str]:
-    """Return an error message for each folder of a tree that cannot be listed."""
+    """Return the folders of a tree that cannot be listed, each with an error message."""
     errors: list[OSError] = []
     for _ in os.walk(root, onerror=errors.append):
         pass
@@ -112,7 +112,7 @@ def link_below(base: Path, path: Path) -> Path | None:
 
 
 def chosen_folder(test_file: Path, corpus: str) -> Path:
-    """Return the folder that the user has chosen, below which links are not trusted."""
+    """Return the folder that the user has chosen. Links below it are not trusted."""
     return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
 
 
@@ -160,7 +160,7 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
 
 
 def module_named(directory: Path, folder: str) -> Path:
-    """Return the test file for a folder of a corpus. The file can be missing."""
+    """Return the test file for a folder of a corpus, whether it exists or not."""
     return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
 
 
@@ -170,7 +170,7 @@ def relative(path: Path, rootpath: Path) -> str:
 
 
 def safe_name(text: str) -> str:
-    """Return a folder name that is valid on every file system and differs for different texts.
+    """Return a folder name for a string, valid on every file system and different for different strings.
 
     ``test_it`` is unchanged, and ``test_it[4-slow]`` becomes ``test_it@4-slow``. A name with capitals ends with ``~``
     and a code for their positions: ``test_REQ_1`` becomes ``test_REQ_1~43``. Any other name is simplified and ends
@@ -186,11 +186,11 @@ def safe_name(text: str) -> str:
     # "@" replaces square brackets, which have a meaning in paths for pytest and for shells.
     name = "@".join(parts)
     plain = (part.lower() if suffix else part for part in parts)
-    # The suffix is shorter than that with a digest, so that the two kinds differ.
+    # The suffix is shorter than one with a digest, so that the two kinds of suffixes cannot be confused.
     is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
     if is_short and all(re.fullmatch(_PLAIN, each) for each in plain) and not re.match(_RESERVED, name):
         return name + suffix
-    # Other characters, reserved names of Windows and long names. The hash is of the complete text.
+    # What remains are names with other characters, names that Windows reserves, and long names.
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
     readable = _readable(name)
     prefix = "_" if not readable or re.match(_RESERVED, readable) else ""
@@ -226,7 +226,7 @@ def _beginning(folder: Path) -> str:
 
 
 def may_be_of(folder: str, test: str) -> bool:
-    """Return whether a folder may belong to a test, whatever the parameters of the test are."""
+    """Return whether a folder may belong to a test with any parameters."""
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.
@@ -238,7 +238,7 @@ def _readable(text: str) -> str:
 
 
 def around(part: str, name: str) -> tuple[str, str] | None:
-    """Return the text before and after a part of a parametrised name."""
+    """Return the text before and after a part of a parametrised name, or None."""
     found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", name, re.DOTALL)
     return None if found is None else (found[1], found[2])
 

@@ -56,7 +56,7 @@ Place = tuple[str | int, ...]
 """The keys and indices that lead from the top of a document to a value."""
 
 XFAIL, REASON = "xfail", "reason"
-"""The key for accepted failures, and the only key inside it where a date needs quotes."""
+"""The key for accepted failures, and the only key in its mapping for which a date needs quotes."""
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
@@ -114,7 +114,7 @@ class Field:
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys, hint: str = "") -> dict[str, Field]:
-        """Return the values of a mapping with these keys. ``hint`` is added to the advice on an unknown key."""
+        """Return the values of a mapping that can have only these keys. An error for another key ends with ``hint``."""
         fields = self.any_mapping()
         known = keys.all
         # Unknown keys are reported before missing ones, because a misspelt key causes both.
@@ -144,7 +144,7 @@ class Field:
         return self.value
 
     def some_text(self, fix: str) -> str:
-        """Return a text that is not blank. ``fix`` is the advice in the error."""
+        """Return a string that is not blank. ``fix`` is the advice in the error."""
         if not isinstance(self.value, str) or not self.value.strip():
             raise self.error("a string that is not blank", fix)
         return self.value
@@ -157,14 +157,14 @@ class Field:
     def whole(self, low: int = 0, high: int | None = None) -> int:
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
-            top = "" if high is None else f" to {high}"
-            raise self.error(f"a whole number from {low}{top}", "correct it")
+            expected = f"of at least {low}" if high is None else f"from {low} to {high}"
+            raise self.error(f"a whole number {expected}", "correct it")
         return number
 
     def day(self) -> date:
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
-            raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
+            raise self.error("a date that exists, as year-month-day", "write a date such as 2027-01-31")
         return day
 
     def truth(self) -> bool:
@@ -176,7 +176,7 @@ class Field:
         """Return a finite number that is at least ``low``."""
         number = plain_number(self.value)
         if number is None or not low <= number <= MAX_NUMBER:
-            raise self.error(f"a finite number, at least {low:g}", "correct it")
+            raise self.error(f"a finite number of at least {low:g}", "correct it")
         return float(number)
 
 
@@ -205,7 +205,7 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     # Checks from cheap to expensive. An error must not print the content of a file that does not look like a saved
     # scenario, since such a file may contain a secret.
     if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
-        fix = f"give a file that ends in {SUFFIX}; this one is for another tool, or `export` wrote it"
+        fix = f"give a file whose name ends with {SUFFIX}; this one is for another tool, or `export` wrote it"
         raise CorpusError(path, "a saved scenario", "a file of a different kind", fix)
     if len(content) > MAX_BYTES:
         raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
@@ -227,8 +227,8 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
-        fix = "install the pytest-pafot that wrote it, or delete the file and search again"
-        # Without a version, this may be some other file with a secret under that key, so its value is not printed.
+        fix = "install the version of pytest-pafot that wrote it, or delete the file and search again"
+        # Without a version, this may be another kind of file with a secret under that key, so the value is not printed.
         raise version.error(f"the format version {VERSION}", fix, None if is_whole else "a different kind of value")
     return top
 
@@ -236,7 +236,7 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
 def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
     __tracebackhide__ = True
     try:
-        # With or without a byte order mark.
+        # The file may start with a byte order mark.
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
@@ -245,7 +245,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
         raise CorpusError(path, "printable text", received, "remove it", line=line)
-    # The compiled loader accepts tabs and "?" where the Python loader does not, but both must read a file alike.
+    # The compiled loader accepts tabs and "?" where the Python loader does not, but both must give the same result.
     is_odd = "\t" in text or "?" in text
     kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     loader = kind(text)
@@ -285,24 +285,24 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one document", "none or several", "keep one document per file")
+            raise self._error(event, "exactly one document", "none or several", "write one document per file")
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
         self.values += 1
         if self.values > MOST_VALUES:
-            # A value takes about 10 microseconds to read. A file of this plugin reaches the limit of size first.
+            # Reading a value takes about 10 microseconds. A file of this plugin would reach the size limit first.
             raise self._error(event, f"at most {MOST_VALUES} values", "more", "delete or shorten the file")
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
             # Expanding aliases can use up all memory (a "billion laughs" attack).
             name = f"the alias or anchor {event.anchor!r:.40}"
-            raise self._error(event, "plain values", name, "write the value in full")
+            raise self._error(event, "values without aliases and anchors", name, "write the value in full")
         if event.tag is not None:
             raise self._error(event, "values without tags", f"the tag {event.tag!r:.60}", "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
         if len(place) >= DEPTH:
-            raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "flatten it")
+            raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "reduce the nesting")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(place)
         return [self._value((*place, index), each) for index, each in enumerate(self._until(yaml.SequenceEndEvent))]
@@ -337,7 +337,7 @@ class _Builder:
                 raise self._error(event, "keys that are strings", f"the key {key!r:.60}", "put it in quotes")
             if key in mapping:
                 raise self._error(event, "each key only once", f"{key!r:.60} again", "remove one of them")
-            # "?" is the place of all keys. After the value is read, its line becomes the line of the key.
+            # All keys are read at the place "?". After the value is read, its line becomes the line of the key.
             mapping[key] = self._value((*place, key), self.loader.get_event())
             self.lines[(*place, key)] = _line(event)
         self.lines.pop((*place, "?"), None)
@@ -368,7 +368,7 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
         "own": Keys(("kind",), ("class", "data")),
     }
 )
-"""The keys of ``world`` by its kind. ``data`` contains what ``to_dict`` of a custom world returns."""
+"""The keys of ``world`` by its kind. ``data`` is the dict that the ``to_dict`` method of a custom world returns."""
 
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 
@@ -384,7 +384,7 @@ SIGNED = frozenset({
     "slot", "value", "at_most", "at_least", "gap", "lanes_to_right", "npc_enters", "ego_enters", "ego_speed",
     "npc_speed",
 })  # fmt: skip
-"""Fields that may be negative."""
+"""The fields that can be negative."""
 
 MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})
 """The keys that distinguish the dataclasses of a union."""
@@ -430,7 +430,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     fields = top.mapping(FILE)
     scenario = _scenario(fields["scenario"])
 
-    # An expected NPC must exist in the scenario, so the reader of that number needs the scenario.
+    # The number of an expected NPC is valid only if the scenario has this NPC.
     def npc(field: Field) -> int:
         return field.whole(0, len(scenario.npcs) - 1)
 
@@ -452,7 +452,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """Return an error that names the line of ``world`` or ``scenario``, after ``error`` was raised for that part."""
+    """Return an error with the line of ``world`` or ``scenario``, for an error that this part of a file caused."""
     try:
         return _rule_broken(parse(path, content_of(path)).at(part), error)
     except CorpusError as changed:  # the file was changed since it was read
@@ -479,9 +479,9 @@ def _at_the_end_of_links(path: Path) -> Path:
     Raises:
         CorpusError: if a link leads out of the corpus.
     """
-    # A link may lead to another scenario of the same corpus, three folders above the file. Two tools put files behind
-    # links that lead out of it, and a pull request cannot place files behind those: git-annex links to its store,
-    # and build systems such as Bazel link to the same path in another tree.
+    # A link can lead to another scenario of the same corpus, whose root is three folders above the file. It can also
+    # lead to two locations in which a pull request cannot place files: the store of git-annex, and the same path in
+    # another tree, to which build systems such as Bazel link.
     path = path.absolute()
     real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
     if real == folder / path.name or real.name.endswith(SUFFIX):
@@ -509,7 +509,7 @@ def _world(field: Field) -> dict[str, Any]:
             raise field.at(key).error("JSON-compatible data", "correct it", str(error)) from None
     kind = world.get("kind")
     if isinstance(kind, str) and kind in WORLDS:
-        # An unknown kind is rejected when the world is built, where its error is the same as for a dict in code.
+        # An unknown kind is rejected when the world is built, with the same error as for a dict in code.
         field.mapping(WORLDS[kind])
         if "limits" in fields:
             fields["limits"].mapping(LIMITS)
@@ -518,7 +518,7 @@ def _world(field: Field) -> dict[str, Any]:
     return world
 
 
-# Reading by the types of the dataclasses' fields.
+# Dataclasses are read according to the types of their fields.
 
 
 @cache
@@ -555,7 +555,7 @@ def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     origin, inner = _parts(kind)
-    # No value may be null: a missing key means None. So an optional type is read as its first other type.
+    # No value can be null, because a missing key means None. So an optional type is read as its first other type.
     if origin in (Union, UnionType):
         marked = [(key, each) for key, each in MARKS.items() if each in inner]
         keys = field.any_mapping() if marked else ()
@@ -590,7 +590,7 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
 
 
 def _kind_of(field: Field) -> type[Instruction]:
-    """Return the kind of instruction whose target a mapping contains."""
+    """Return the kind of instruction that a mapping describes."""
     keys = field.any_mapping()
     # If a key belongs to another kind, the error lists the keys of this kind.
     kind = next((kind for kind in KINDS if kind.goal_kind in keys), PositionInstruction)
@@ -627,7 +627,7 @@ def _vehicle(field: Field) -> VehicleType:
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
-    """Return an error of a scenario or a world, with the line that caused it."""
+    """Return the error for a scenario or a world, with the line that caused it."""
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
     # Translate the field of the error, such as npcs[0][3].cell, into keys of the file, and follow them as far as they
@@ -709,7 +709,6 @@ class Saved(NamedTuple):
 
     @property
     def xfail(self) -> str | None:
-        """The reason why the failure is accepted, or None."""
         return None if self.finding is None else self.finding.xfail
 
     def is_accepted(self, today: date) -> bool:
@@ -717,7 +716,6 @@ class Saved(NamedTuple):
 
     @property
     def is_crash(self) -> bool:
-        """True if the process died in this scenario."""
         return self.finding is not None and self.finding.expect.is_crash
 
     @property
@@ -731,7 +729,7 @@ class Saved(NamedTuple):
 
 
 def named_file(given: str) -> Path:
-    """Return the corpus file with a path, an id, or the name of an item as pytest prints it.
+    """Return the corpus file for a path, an id, or an item name as printed by pytest.
 
     Raises:
         CorpusError: if there is no such file below the current folder, or more than one.
@@ -763,5 +761,5 @@ def saved_in(folder: Path) -> list[Saved]:
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:
-    """Return the files of a folder that is not read because it is behind a link out of the project."""
+    """Return the files of a folder, each with an error: the folder is behind a link out of the project."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]

@@ -54,7 +54,7 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace the file of a finding, but keep the accepted failure that is stored in it.
+    """Replace the file of a finding, but keep its ``xfail``.
 
     Raises:
         CorpusWriteError: if the file cannot be written, or the old one cannot be read.
@@ -66,7 +66,7 @@ def rewrite(path: Path, finding: Finding) -> Finding:
             there = load(path)
             kept = finding.accepting(there.xfail, there.xfail_until)
         except CorpusError as error:
-            raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
+            raise CorpusWriteError(path, f"the file here cannot be read ({error})", "correct or delete it") from error
     write(path, kept, over=True)
     return kept
 
@@ -74,11 +74,10 @@ def rewrite(path: Path, finding: Finding) -> Finding:
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
     """Return a path for a new finding, and the finding with the id of that path.
 
-    If a file already contains the finding, its path is returned. ``passed`` are files whose replays did not show the
-    finding.
+    If a file already contains the finding, its path is returned. ``passed`` contains the files whose replays pass.
     """
-    # The id is a hash of the scenario before shrinking. If the file with that id was updated to another failure and
-    # the first one is found again, the id is taken, so the new file gets the suffix -2, -3 and so on.
+    # The id is a hash of the scenario before shrinking. If the file with that id was updated to another failure, and
+    # the first failure is found again, the id is taken. The new file then gets the suffix -2, -3 and so on.
     number = 1
     while True:
         name = finding.id if number == 1 else f"{finding.id}-{number}"
@@ -93,23 +92,23 @@ def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
         saved = load(path)
     except CorpusError:
         return False  # a file that the user may still repair is not overwritten
-    # A guard is a file whose replay passes. If its scenario is another one, for example a shrunk one, both are kept.
+    # A guard is a file whose replay passes. If it has another scenario, for example a shrunk one, both are kept.
     return saved.signature == finding.signature and not (is_guard and saved.scenario != finding.scenario)
 
 
-# The text.
+# The content of a file.
 
 WIDTH = 120
 
 _SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
 _BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
-_TRUTHS = frozenset("yYnN")  # booleans in YAML 1.1, which PyYAML reads as text
+_TRUTHS = frozenset("yYnN")  # booleans in YAML 1.1, which PyYAML reads as strings
 _RESOLVER: Any = yaml.resolver.Resolver()
 
 
 def text_of(finding: Finding) -> str:
     """Return the content of a corpus file."""
-    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
+    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # not inside brackets
 
     xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
@@ -244,9 +243,9 @@ def _scalar(value: object) -> str:
 
 
 def _is_plain(text: str, also: str = "") -> bool:
-    """Return whether YAML 1.1 and 1.2 read a text unchanged without quotes.
+    """Return whether YAML 1.1 and 1.2 read a string unchanged without quotes.
 
-    ``also`` contains more characters to allow.
+    ``also`` contains additional characters to allow.
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False

@@ -1,12 +1,12 @@
 """Measures of how dangerous a run was for the ego. Every measure is a function of a Trace.
 
-Arrays have the shape [ticks + 1, NPCs]. NaN in a trace results in NaN. While a crossing NPC is not on the ego's path,
-distances along and across that path are NaN.
+Arrays have the shape [ticks + 1, NPCs]. NaN in a trace leads to NaN in its measures. While a crossing NPC is not on the
+ego's path, distances along and across that path are NaN.
 """
 
 from pytest_pafot.support import compiled
 
-compiled.load(__name__)  # before the modules that import what is compiled
+compiled.load(__name__)  # before the modules that import compiled code
 
 from pytest_pafot.criticality.measures import (
     Encounters,

@@ -1,4 +1,4 @@
-"""The geometry of a run, its measures, and the safe distances of RSS."""
+"""The geometry of a run, its criticality measures, and the safe distances of RSS."""
 
 # Sources, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 for the grid, and
 # section 3.3, equations 1 to 5, for the measures. Vehicle 1 of the equations is the ego, vehicle 2 an NPC.
@@ -20,7 +20,7 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatAr
 
 
 class RelativePositions:
-    """The positions of the NPCs of a run relative to the ego, shape [NPCs, ticks + 1]."""
+    """The positions of a run's NPCs relative to the ego, shape [NPCs, ticks + 1]."""
 
     def __init__(
         self, states: FloatArray, sizes: FloatArray, lanes: Sequence[Lane], track: FloatArray | None = None
@@ -28,7 +28,7 @@ class RelativePositions:
         self._states = states
         self._sizes = sizes
         self._lanes = lanes
-        # The road defines all distances. Each array is computed at its first use. The ticks are innermost, which makes
+        # The road defines all distances. Each array is computed at its first use. Ticks are the last axis, which makes
         # numpy about three times as fast.
         self._road = road_of_run(states, lanes, track)
 
@@ -56,7 +56,7 @@ class RelativePositions:
 
     @property
     def ahead(self) -> FloatArray:
-        """The distance of the NPC's centre ahead of the ego's [m]."""
+        """The distance of an NPC's centre ahead of the ego's centre [m]."""
         # On a curved road, the difference of the two positions on the ego's path is multiplied by the mean of the
         # metres that ego and NPC drive per metre of that path. In a circle this is the arc halfway between the arcs of
         # the two vehicles.
@@ -64,19 +64,19 @@ class RelativePositions:
 
     @property
     def right(self) -> FloatArray:
-        """The distance of the NPC's centre to the right of the ego's [m]."""
+        """The distance of an NPC's centre to the right of the ego's centre [m]."""
         # On a curved road, each vehicle's distance to the ego's path is measured at the position of the vehicle.
         return self._road.offsets[1]
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:
-        """True if the centres of ego and NPC are in one lane."""
+        """True while the centres of ego and NPC are in the same lane."""
         lane = self.column(LANE)
         same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0) & self.is_on_way
         return same
 
     def cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the cell of an NPC at a tick, or None."""
+        """Return the cell of an NPC at a tick, or None outside all cells."""
         # Rows are as long as the ego, columns as wide as the ego's lane, or as the first lane if the ego is off the
         # road.
         ahead, right = self._road.offset(npc, tick)
@@ -84,15 +84,15 @@ class RelativePositions:
         return cell_at(ahead, right, float(self._sizes[0, 0]), width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the last cell of an NPC up to a tick, or None."""
+        """Return the most recent cell of an NPC up to a tick, or None."""
         # Only the time since the NPC entered the ego's path counts.
         ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
         cells = (self.cell(npc, each) for each in ticks)
         return next((cell for cell in cells if cell is not None), None)
 
 
-# Added to relative velocities, so that no division is by zero [m/s]. Any other velocity stays the same, and a division
-# by it does not overflow.
+# Added to relative velocities to avoid divisions by zero [m/s]. It is too small to change other velocities, and
+# divisions by it do not overflow.
 _TINY = 1e-290
 
 # One array per axis. A single stacked array would be so large that the allocator returns it to the system each time,
@@ -157,7 +157,7 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
 
 
 def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
-    """Return whether no axis separates the boxes."""
+    """Return whether the boxes overlap."""
     result: npt.NDArray[np.bool_] = np.ones(pairs.cos.shape, dtype=np.bool_)
     for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
         result &= np.abs(offset) <= reach
@@ -172,7 +172,7 @@ def depth(pairs: Pairs) -> FloatArray:
 
 
 def box_gap(pairs: Pairs) -> FloatArray:
-    """Return the smallest distance between the boxes [m], 0 at overlap."""
+    """Return the smallest distance between the boxes [m], or 0 if they overlap."""
     a, b = pairs.a, pairs.b
     # The smallest distance between two separate rectangles is always at a corner of one of them.
     along, across, back_along, back_across = pairs.offsets
@@ -184,7 +184,7 @@ def box_gap(pairs: Pairs) -> FloatArray:
 
 
 def contact_time(pairs: Pairs) -> FloatArray:
-    """Return the time until the boxes touch at their present velocity [s], or inf."""
+    """Return the time until the boxes touch at their present velocities [s], or inf."""
     # Along each axis, the projections overlap during one interval of time. Contact starts when the last of these four
     # intervals starts, unless one of them has ended by then.
     velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
@@ -226,13 +226,13 @@ MANOEUVRE_SECONDS = 3.0
 # True if one compiled pass over a run computes the extremes. Otherwise, numpy's arrays compute the same values.
 _SWEEPS = sweep.is_in_use()
 
-# The sine of the angle between two headings below which they count as parallel [1]. Such lines cross far beyond any
+# The sine of the angle between two headings below which they count as parallel [1]. Such lines cross far away from any
 # road, or only because of rounding.
 _PARALLEL = 1e-9
 
 
 class Encounters(RelativePositions):
-    """The geometry of one run that its measures share."""
+    """The geometry of one run, which its measures share."""
 
     def __init__(self, trace: Trace) -> None:
         super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
@@ -252,7 +252,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """True if the NPC's centre is level with the ego's or ahead of it."""
+        """True while an NPC's centre is level with the ego's or ahead of it."""
         return self.ahead >= 0
 
     def follower_minus_leader(self, values: FloatArray) -> FloatArray:
@@ -264,14 +264,14 @@ class Encounters(RelativePositions):
 
 @lru_cache(maxsize=1)
 def encounters_of(trace: Trace) -> Encounters:
-    """Return the geometry of a run."""
-    return Encounters(trace)  # cached, because several measures of a run need it
+    """Return the cached geometry of a run."""
+    return Encounters(trace)
 
 
 def ettc(trace: Trace) -> FloatArray:
     """Return the paper's estimated time to collision (equations 1 to 3) [s].
 
-    It is the time until the ego reaches the crossing point of the two lines of travel, or inf without one ahead.
+    It is the time until the ego reaches the point where the two lines of travel cross, or inf if it is not ahead.
     """
     # With p the positions, d the unit vectors of travel and x the cross product, the ego's distance to the crossing
     # point is (p2 - p1) x d2 / d1 x d2. This equals the paper's expression where its tangents and cotangents exist, and
@@ -279,8 +279,9 @@ def ettc(trace: Trace) -> FloatArray:
     # vehicle that drives backwards travels against its heading.
     pairs, speed = encounters_of(trace).pairs, encounters_of(trace).speed
     way = np.where(speed < 0, -1.0, 1.0)
-    # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
-    # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are ignored.
+    # In the ego's frame, (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 is the sine of the
+    # difference between the headings. The same applies if the roles are swapped. Parallel lines are divided by 1 and
+    # ignored.
     parallel = np.abs(pairs.sin) < _PARALLEL
     sine = np.where(parallel, 1.0, pairs.sin)
     ego_way = -way[:1] * pairs.offsets[3] / sine
@@ -297,7 +298,7 @@ def mettc(trace: Trace) -> float:
 
 
 def ttc(trace: Trace) -> FloatArray:
-    """Return the time until the boxes touch if both keep velocity and heading [s], or inf."""
+    """Return the time until the boxes touch at constant velocity and heading [s], or inf."""
     # Source: Hayward, "Near-miss determination through use of a scale of danger", 1972; here for oriented boxes.
     return contact_time(encounters_of(trace).pairs).T
 
@@ -309,7 +310,7 @@ def min_ttc(trace: Trace) -> float:
 
 
 def centre_distance(trace: Trace) -> FloatArray:
-    """Return the distance between the centres of ego and NPC (equation 4) [m]."""
+    """Return the distance between the centres of the ego and each NPC (equation 4) [m]."""
     # The offsets along and across the ego's heading give the same distance and are already computed.
     along, across = encounters_of(trace).pairs.offsets[:2]
     return np.sqrt(along * along + across * across).T
@@ -321,7 +322,7 @@ def min_centre_distance(trace: Trace) -> float:
 
 
 def gap(trace: Trace) -> FloatArray:
-    """Return the distance between the boxes of ego and NPC [m]."""
+    """Return the distance between the boxes of the ego and each NPC [m]."""
     return box_gap(encounters_of(trace).pairs).T
 
 
@@ -334,7 +335,7 @@ def min_gap(trace: Trace) -> float:
 def safety_distance(trace: Trace) -> FloatArray:
     """Return the paper's SD (equation 5), the distance that the follower gains on the leader in 3 s [m].
 
-    The follower must leave at least this distance.
+    The follower must keep at least this distance.
     """
     # (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower and 2 the leader.
     encounters, t = encounters_of(trace), MANOEUVRE_SECONDS
@@ -349,7 +350,7 @@ def min_safety_distance(trace: Trace) -> float:
 
 
 def safety_shortfall(trace: Trace) -> FloatArray:
-    """Return the missing fraction of the safety distance."""
+    """Return the fraction of the safety distance that is missing."""
     keep = safety_distance(trace)
     # Nothing is missing if the leader pulls away, or if ego and NPC are not in one lane.
     demanded = encounters_of(trace).same_lane.T & ~(keep <= 0)
@@ -359,15 +360,15 @@ def safety_shortfall(trace: Trace) -> FloatArray:
 
 
 def max_safety_shortfall(trace: Trace) -> float:
-    """Return the largest missing fraction of the safety distance, from 0 to 1 at contact."""
+    """Return the largest missing fraction of the safety distance, from 0 to 1 (contact)."""
     swept = _extremes(trace)
     return float(safety_shortfall(trace).max(initial=0.0)) if swept is None else swept[2]
 
 
 @lru_cache(maxsize=1)
 def _extremes(trace: Trace) -> tuple[float, float, float] | None:
-    # The result is cached, because the default fitness needs all three. The pass needs a road of one direction.
-    # All three extremes are computed and cached, because the default fitness needs all of them.
+    # The three extremes are computed together and cached, because the default fitness needs all of them. The compiled
+    # pass requires a road with a single direction.
     heading = trace.road.heading
     if not _SWEEPS or heading is None:
         return None
@@ -390,7 +391,7 @@ def planned_duration(trace: Trace) -> float:
 
 
 def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first tick, and the tick after the last, of each interval in which a condition is true."""
+    """Return the intervals in which a condition is true, each as its first tick and the tick after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
@@ -424,8 +425,8 @@ class RssRules:
             value = getattr(self, field.name)
             divides = field.name in ("least_braking", "hardest_braking", "lateral_braking")
             if not math.isfinite(value) or value < 0 or (divides and value == 0):
-                bound = "greater than 0" if divides else "at least 0"
-                raise ValueError(f"{field.name}: expected a finite number, {bound}, but received {value!r}")
+                bound = "greater than 0" if divides else "of at least 0"
+                raise ValueError(f"{field.name}: expected a finite number {bound}, but received {value!r}")
 
     def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
         """Return the gap that RSS requires of a follower [m], for speeds along the road [m/s]."""
@@ -439,20 +440,20 @@ class RssRules:
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
-    """Return the gap between the boxes of ego and NPC along the road [m]."""
+    """Return the gap along the road between the boxes of the ego and each NPC [m]."""
     return RoadFrame(trace).gap_along
 
 
 class RoadFrame:
-    """Longitudinal and lateral positions and velocities, shape [vehicles or NPCs, ticks + 1].
+    """Positions, velocities and gaps along and across the road, shape [vehicles or NPCs, ticks + 1].
 
-    All values of an NPC are NaN while it is not on the ego's path.
+    While an NPC is not on the ego's path, its values are NaN.
     """
 
     def __init__(self, trace: Trace) -> None:
         encounters = Encounters(trace)
         boxes = encounters.boxes
-        # The offset of each NPC's centre from the ego's [m], and whether the NPC is on the ego's path.
+        # Whether each NPC is on the ego's path, and the offset of its centre from the ego's centre [m].
         self.is_on_way, self.ahead, self.right = encounters.is_on_way, encounters.ahead, encounters.right
         # The cosine and sine of each vehicle's angle to the road.
         self.cos, self.sin, road_cos, road_sin = trace.road.turned(boxes.cos, boxes.sin)
@@ -486,7 +487,7 @@ class RoadFrame:
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """Return the smallest safe :attr:`gap_along` by RSS [m]."""
+        """Return the smallest safe :attr:`gap_along` according to RSS [m]."""
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -494,7 +495,7 @@ class RoadFrame:
         return rules.safe_along(follower, leader, response).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
-        """Return the smallest safe :attr:`gap_across` by RSS [m]."""
+        """Return the smallest safe :attr:`gap_across` according to RSS [m]."""
         # Both vehicles may accelerate towards each other for their response times, and then brake until they no longer
         # move sideways. A vehicle that still moves away after its response time increases the gap while it brakes, so
         # its stopping distance is subtracted. The published formula, which assumes vehicles that come closer, adds it.

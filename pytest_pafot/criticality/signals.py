@@ -1,4 +1,4 @@
-"""The signals of a run, the table of all measures, and the passages of crossing NPCs."""
+"""The signals of a run, the table of all measures, and the passages of crossing NPCs through their zones."""
 
 # A vehicle is in a zone as long as its box could touch the box of a vehicle on the other path.
 #
@@ -31,8 +31,8 @@ class Passage:
     Attributes:
         npc: index of the NPC.
         zone: zone where the two paths cross.
-        ego_enters, npc_enters: time of the first tick in the zone [s]; inf without one.
-        ego_leaves, npc_leaves: time of the first tick after the zone [s]; inf without one.
+        ego_enters, npc_enters: time of the first tick in the zone [s], or inf.
+        ego_leaves, npc_leaves: time of the first tick after the zone [s], or inf.
     """
 
     npc: int
@@ -44,7 +44,7 @@ class Passage:
 
     @property
     def post_encroachment_time(self) -> float:
-        """The time between one vehicle's exit from the zone and the other's entry [s]; lower is worse."""
+        """The time between one vehicle's exit from the zone and the other vehicle's entry [s]. Lower is worse."""
         if math.inf in (self.ego_enters, self.npc_enters):
             return math.inf  # one of them never arrived
         # It is 0 if both were in the zone together.
@@ -61,7 +61,7 @@ def passages(trace: Trace) -> tuple[Passage | None, ...]:
 def time_advantage(trace: Trace) -> FloatArray:
     """Return the post-encroachment time that would result if ego and NPC kept their speeds [s].
 
-    It is infinite if one of them would never arrive, or the NPC does not cross.
+    It is infinite if one of them would never arrive, or if the NPC does not cross.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -83,9 +83,9 @@ def time_advantage(trace: Trace) -> FloatArray:
 
 
 def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]:
-    """Return when the ego and an NPC were expected in their zone [s]."""
-    # Both are times of entry and exit. For the ego they follow from its speed at the tick, for the NPC from the run.
-    # What the NPC had not reached at the end of the run follows from its last speed.
+    """Return when the ego and an NPC were expected to enter and leave their zone [s]."""
+    # The times of the ego follow from its speed at the tick, and the times of the NPC from the run. If the run ended
+    # before the NPC entered or left the zone, the time follows from its last speed.
     zone: Any = trace.zones[npc]
     hz = trace.physics_hz
     ego_enters, ego_leaves, enters, leaves = (
@@ -139,14 +139,14 @@ def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -
 
 
 SLOT = 0.3  # tolerance of a slot [s]
-# An NPC adapts to the ego's arrival until this time before its entry [s], and slows down to this fraction of its speed
-# at most, as in world/kernel/crossing.py.
+# An NPC adapts to the ego's arrival until this time before it enters its zone [s]. To do so, it slows down to no less
+# than this fraction of its planned speed. Both numbers are as in world/kernel/crossing.py.
 ADAPTING_UNTIL, WAITING = 3.0, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class SlotRequest:
-    """A slot that was requested from a crossing NPC."""
+    """The slot that a scenario requested for a crossing NPC."""
 
     npc: int  # index of the NPC
     what: str  # "slot", or "zone" if the NPC did not reach its zone; then both times are NaN
@@ -165,7 +165,7 @@ class SlotRequest:
 
 
 def slot_requests(trace: Trace) -> tuple[SlotRequest, ...]:
-    """Return the slots that were requested from the crossing NPCs of a run."""
+    """Return the slots that a scenario requested for crossing NPCs."""
     found: list[SlotRequest] = []
     for npc, instruction in enumerate(trace.scenario.crossings):
         if instruction is not None and instruction.act == "pass":
@@ -183,8 +183,8 @@ def _evaluate_slot(trace: Trace, npc: int, slot: float) -> Iterator[SlotRequest]
         if not is_broken_off:
             yield SlotRequest(npc, "zone")
         return
-    # The slot is measured at the ego's speed when the NPC stopped adapting. An ego may have waited for the NPC, which
-    # does not become slow enough to come after it. Or it may have slowed down in the zone, so that the NPC waited.
+    # The slot follows from the ego's speed when the NPC stopped adapting. There is none if the ego waited for the NPC,
+    # which cannot become slow enough to pass later, or if the ego slowed down in the zone, so that the NPC waited.
     until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0)
     if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
         return
@@ -192,7 +192,7 @@ def _evaluate_slot(trace: Trace, npc: int, slot: float) -> Iterator[SlotRequest]
     was = enters - ego_leaves if slot > 0 else leaves - ego_enters
     if slot == 0:
         was = (enters + leaves - ego_enters - ego_leaves) / 2
-    has_left = passage.ego_leaves < math.inf  # else, as after a collision, it would have left at its last speed
+    has_left = passage.ego_leaves < math.inf  # otherwise, it would have left at its last speed
     left = passage.ego_leaves if has_left else times_expected(trace, npc, trace.ticks)[0][1]
     if was - slot <= SLOT or left <= ego_leaves + SLOT:
         yield SlotRequest(npc, "slot", slot, was)
@@ -204,7 +204,7 @@ Worse = Literal["low", "high", "both", "neither"]
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure of the ego or of each NPC at each tick of a run. A call with a trace returns a fitness."""
+    """A measure of the ego or of each NPC at each tick of a run. Calling it with a trace returns a fitness."""
 
     name: str  # such as `ego.jerk`, or `npcs.ttc` for each NPC
     unit: str  # such as `m/s^3`; empty for a number
@@ -214,15 +214,15 @@ class Measure:
 
     def __call__(self, trace: Trace) -> float:
         """Return the measure as a fitness between -1 and 1."""
-        # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure without a worse
-        # side is no fitness.
+        # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
+        # values are worse cannot be a fitness.
         risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.function(trace))
         worst = float(risk.max(initial=-np.inf))
         return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
-    """Return the index of the nearest NPC ahead in the ego's lane at each tick, or -1; shape [ticks + 1]."""
+    """Return the index of the nearest NPC ahead in the ego's lane at each tick, or -1, shape [ticks + 1]."""
     encounters = encounters_of(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
@@ -257,14 +257,13 @@ def lateral_acceleration(trace: Trace) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EgoLaneChange:
-    """A lane change of the ego, which is when its centre enters another lane.
+    """A lane change of the ego, in which its centre enters another lane.
 
     Attributes:
         tick: first tick in the new lane.
         time: time of this tick [s].
         from_lane, to_lane: indices of the old and the new lane.
-        gap_ahead, gap_behind: gap along the road to the nearest NPC in the new lane [m]; 0 side by side, inf without
-            one.
+        gap_ahead, gap_behind: gap along the road to the nearest NPC in the new lane [m], or inf. Side by side, it is 0.
     """
 
     tick: int
@@ -276,7 +275,7 @@ class EgoLaneChange:
 
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
-    """Return the ego's lane changes in their order, without ticks at which the ego is off the road."""
+    """Return the ego's lane changes in order, ignoring ticks at which the ego is off the road."""
     lane = trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
     changed = np.flatnonzero(np.diff(lane[on_road]))
@@ -322,11 +321,11 @@ def _right(trace: Trace) -> FloatArray:
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
 _TURNING = "speed times turning rate since the previous tick, positive to the right"
 _JERK = "change of the acceleration since the previous tick, per second"
-_LANE = "index of the lane of the centre, from 0 at the left of a straight road; -1 off the road"
+_LANE = "index of the lane that contains the centre, from 0 at the left of a straight road; -1 off the road"
 _ROAD = "along the road, between the centres"
 
 # This table defines the attributes of a run, the measures that `fitness=` accepts, the columns of `run.to_pandas()`,
-# and a table of the reference. It has partial functions, because lambdas cannot be sent to other processes.
+# and a table in the documentation. It uses partial functions, because lambdas cannot be sent to other processes.
 MEASURES = (
     Measure("ego.speed", "m/s", "high", "as recorded", partial(_of_ego, SPEED)),
     Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative during braking", partial(_of_ego, ACCELERATION)),
@@ -339,25 +338,25 @@ MEASURES = (
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, ACCELERATION)),
     Measure("npcs.lane", "", "neither", _LANE, partial(_of_npcs, LANE)),
     Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while "
-            "the NPC crosses", _ahead),
-    Measure("npcs.right", "m", "neither", "lateral distance of the NPC's centre to the right of the ego's; "
-            "NaN while the NPC crosses", _right),
+            "the NPC is not on the ego's path", _ahead),
+    Measure("npcs.right", "m", "neither", "lateral distance of the NPC's centre to the right of the "
+            "ego's centre; NaN while the NPC is not on the ego's path", _right),
     Measure("npcs.gap", "m", "low", "gap between the boxes of the NPC and the ego",
             partial(_npcs, gap)),
-    Measure("npcs.ttc", "s", "low", "time to contact of the boxes at constant velocity, or inf (Hayward 1972)",
+    Measure("npcs.ttc", "s", "low", "time until the boxes touch at constant velocity, or inf (Hayward 1972)",
             partial(_npcs, ttc)),
     Measure("npcs.time_advantage", "s", "low", "time from one vehicle's exit from the zone to the other's entry, at "
-            "their present speeds; 0 if both would be in it together, inf if one would never arrive "
+            "their present speeds; 0 if both would be in the zone together, inf if one would never arrive "
             "(Laureshyn and others 2010)",
             partial(_npcs, time_advantage)),
 )  # fmt: skip
-"""The measures of every run, named like the attributes of a run."""
+"""All measures, with the names of the corresponding attributes of a run."""
 
 BY_NAME = {measure.name: measure for measure in MEASURES}
 
 
 class Signals:
-    """The signals of one run."""
+    """The lazily computed signals of one run."""
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
@@ -371,7 +370,7 @@ class Signals:
             npc: index of the NPC for the second shape.
 
         Raises:
-            ValueError: for another shape or ``npc``.
+            ValueError: if the shape or ``npc`` does not fit.
         """
         values = self._values.get(function)  # each function of the trace is called only once
         if values is None:
@@ -379,13 +378,13 @@ class Signals:
             rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
-                    f"signal {_name_of(function)}: expected one value per tick, shape ({rows},), or one per NPC and "
-                    f"tick, shape ({npcs}, {rows}), but received the shape {values.shape}"
+                    f"signal {_name_of(function)}: expected an array with one value per tick, shape ({rows},), or one "
+                    f"per NPC and tick, shape ({npcs}, {rows}), but received an array of shape {values.shape}"
                 )
             values.flags.writeable = False
             self._values[function] = values
         if (values.ndim == 2) is (npc is None):
-            wanted = "npc=0 or another index, because it has a row for each NPC" if npc is None else "no npc="
+            wanted = "an index such as npc=0, because the signal has a row per NPC" if npc is None else "no npc="
             raise ValueError(f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}")
         return values if npc is None else values[npc]
 
@@ -436,7 +435,7 @@ class _Vehicle:
 
 
 class EgoSignals(_Vehicle):
-    """The signals of the ego, see :data:`MEASURES`."""
+    """The signals of the ego, as listed in :data:`MEASURES`."""
 
     _of = "ego."
     speed: FloatArray
@@ -447,7 +446,7 @@ class EgoSignals(_Vehicle):
 
 
 class NpcSignals(_Vehicle):
-    """The signals of one NPC, see :data:`MEASURES`."""
+    """The signals of one NPC, as listed in :data:`MEASURES`."""
 
     _of = "npcs."
     speed: FloatArray
@@ -467,5 +466,5 @@ class NpcSignals(_Vehicle):
 
     @property
     def passage(self) -> Passage | None:
-        """The times of the NPC and the ego in their zone, or None."""
+        """The times at which the NPC and the ego pass their zone, or None."""
         return passages(self._signals.trace)[self._npc or 0]

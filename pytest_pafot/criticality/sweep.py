@@ -1,11 +1,10 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
-# The checks are off because no index exceeds the shapes that `extremes` checks and no divisor is zero.
-"""One pass over the ticks of a run for the three extremes that a search needs."""
+# Cython's checks are off, because no index exceeds the shapes that `extremes` checks, and no divisor is zero.
+"""A single pass over the ticks of a run that computes the three extremes for the default fitness."""
 
-# The values equal those of numpy's arrays in criticality/measures.py to the last bit, because the pass does the same
-# operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass takes a
-# tenth of the time of numpy's arrays. The interpreted pass would take longer, so without compiled code the arrays are
-# used.
+# The values equal those of numpy's arrays in criticality/measures.py to the last bit, because the pass performs the
+# same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass takes
+# a tenth of the time of numpy's arrays. The interpreted pass would be slower than the arrays, so it is not used.
 #
 # The bounds need no trigonometry: a sine is at most its angle h and differs from it by at most h^3 / 6, and a cosine is
 # between 1 - h^2 / 2 and 1.
@@ -19,7 +18,7 @@ import numpy as np
 
 from pytest_pafot.model.trace import FloatArray
 
-SLACK = 1e-6  # The margin of the bounds [m]. It is far more than all rounding, so no tick that is extreme is skipped.
+SLACK = 1e-6  # The margin of the bounds [m]. It is far larger than rounding errors, so no extreme tick is skipped.
 # The limit of the sum of the absolute values of a vehicle's state. For a larger sum or NaN, numpy's arrays are used.
 LARGE = 1e6
 LONGEST = 1e5  # The limit of the smallest time to contact [s]. If it is longer or infinite, numpy's arrays are used.
@@ -28,7 +27,7 @@ TINY = 1e-290  # avoids a division by zero [m/s], as in criticality/measures.py
 
 
 def is_in_use() -> bool:
-    """Return whether the compiled pass gives the same results as numpy's arrays."""
+    """Return whether the pass is compiled and gives the same results as numpy's arrays."""
     if __file__.endswith(".py"):  # it runs interpreted
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
@@ -43,7 +42,7 @@ def extremes(
 ) -> tuple[float, float, float] | None:
     """Return the smallest time to contact, the smallest gap and the largest safety shortfall of a run.
 
-    None means that the caller must use numpy's arrays. ``road`` is the cosine and sine of the road's heading.
+    If it returns None, the caller must use numpy's arrays. ``road`` is the cosine and sine of the road's heading.
     """
     if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
         raise ValueError(
@@ -96,7 +95,7 @@ def _swept(
                 comes = closing > 0.0 and room_y < closing * min_ttc
 
             # The safety distance of the paper's equation 5, if ego and NPC are in one lane. A gap that is larger than
-            # ``demanded`` cannot be a larger shortfall.
+            # ``demanded`` cannot cause a larger shortfall.
             keep = 0.0
             if lane_a == states[tick, vehicle, 6] and lane_a >= 0.0:
                 gain, pull = speed_a - speed_b, acceleration_a - states[tick, vehicle, 4]
@@ -108,7 +107,7 @@ def _swept(
             if not (comes or near):
                 continue
 
-            # The projections of the boxes onto their four axes, as in boxes.relate.
+            # The projections of the boxes onto their four axes, as in measures.relate.
             ac, sa, bc, sb = math.cos(heading_a), math.sin(heading_a), math.cos(heading_b), math.sin(heading_b)
             cos, sin = ac * bc + sa * sb, ac * sb - sa * bc
             c, s = abs(cos), abs(sin)
@@ -117,7 +116,7 @@ def _swept(
             offset_0, offset_1 = x * ac + y * sa, y * ac - x * sa
             offset_2, offset_3 = x * bc + y * sb, y * bc - x * sb
 
-            if comes:  # the time to contact, as in boxes.contact_time
+            if comes:  # the time to contact, as in measures.contact_time
                 vx, vy = speed_b * bc - speed_a * ac, speed_b * sb - speed_a * sa
                 begins, ends = _cut(-UNENDING, UNENDING, offset_0, reach_0, vx * ac + vy * sa)
                 begins, ends = _cut(begins, ends, offset_1, reach_1, vy * ac - vx * sa)
@@ -126,7 +125,7 @@ def _swept(
                 if begins <= ends and ends >= 0.0:
                     begins = begins if begins > 0.0 else 0.0
                     min_ttc = begins if begins < min_ttc else min_ttc
-            if near:  # the distance between the boxes, as in boxes.box_gap
+            if near:  # the distance between the boxes, as in measures.box_gap
                 gap = 0.0
                 if (
                     abs(offset_0) > reach_0

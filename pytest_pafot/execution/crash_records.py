@@ -29,9 +29,9 @@ MAX_BYTES = 1 << 20
 
 
 def records_of(root: Path) -> Path:
-    """Return the folder for the crash records of a project. The folder can be missing."""
-    # Temporary files, because a repository could contain records, and nobody else can write into this folder.
-    # On Windows each user has their own folder for temporary files.
+    """Return the folder for the crash records of a project, whether it exists or not."""
+    # It is not in the project, because a repository could contain records. Other users cannot write into it. On
+    # Windows, each user has their own folder for temporary files.
     own = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
     name = hashlib.blake2b(os.fsencode(os.path.realpath(root)), digest_size=8).hexdigest()
     return Path(tempfile.gettempdir(), own, name)
@@ -112,8 +112,8 @@ class CrashRecord:
             if self._descriptor is None:
                 self._descriptor, self._path = _create(self._folder)
             os.lseek(self._descriptor, 0, os.SEEK_SET)
-            # Not synchronised with the disk: the record must survive the end of the process, not of the machine.
-            os.write(self._descriptor, record + b"\n")  # only the first line counts: the rest of an old record may stay
+            # Not synchronised with the disk: the record must survive a crash of the process, but not of the machine.
+            os.write(self._descriptor, record + b"\n")  # only the first line counts, so an old record may be longer
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
 
@@ -125,7 +125,7 @@ def _create(folder: Path) -> tuple[int, Path]:
         with suppress(FileNotFoundError):  # another session has removed the folder, which was empty
             _refuse_folder_of_others(folder)
             descriptor, name = tempfile.mkstemp(prefix=f"{getpid()}-", suffix=SUFFIX, dir=folder)
-            # Between the creation and the lock, another session may have taken the file for that of a dead process.
+            # Between the creation and the lock, another session may have taken it for the file of a dead process.
             if hold(descriptor):
                 return descriptor, Path(name)
             os.close(descriptor)
@@ -150,7 +150,7 @@ class Leftover:
     scenario: Scenario | None = None  # None if the record cannot be read
     world: Mapping[str, Any] | None = None  # as JSON-compatible data
     reference: str = ""  # the name of the policy that drove instead of the ADS; empty if the ADS drove
-    is_watched: bool = False  # a session would have noticed the death, so it died together with its session
+    is_watched: bool = False  # True if a session watched the process, so both must have died together
 
     def discard(self) -> None:
         with suppress(OSError):  # if it cannot be removed, it is only reported again

@@ -52,7 +52,7 @@ def connected(address: str, tell: Callable[[str], object], *, timeout: float = 1
     try:
         from distributed import Client  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package distributed, which is missing; {INSTALL}") from None
+        raise ExecutionError(f"{OPTION}: expected the package distributed, which is missing. Run `{INSTALL}`") from None
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
@@ -76,7 +76,7 @@ class DaskPool:
     """A pool that runs scenarios on the workers of a cluster, like :class:`WorkerPool` in local processes.
 
     Raises:
-        ExecutionError: if world and ADS cannot be pickled, or if workers cannot run scenarios like this process.
+        ExecutionError: if the world or the ADS cannot be pickled, or if workers differ from this process.
     """
 
     def __init__(self, executor: Executor, job: Job) -> None:
@@ -107,7 +107,7 @@ class DaskPool:
         for task in tasks:
             if task in self._under_way or self.failure:
                 continue
-            # The content is large, so it is sent only until a worker has it. A worker without it answers None.
+            # The content is large, so it is sent only until a worker has it. A worker without it returns None.
             parcel = self._parcel if not self._is_known else replace(self._parcel, content=None)
             named: Any = {"key": f"pafot-{next(self._numbers)}-{self._parcel.digest}", "pure": False}
             try:
@@ -118,7 +118,7 @@ class DaskPool:
                 self.failure = _named(error)
 
     def fetch(self, task: Task) -> Answer:
-        """Wait for the answer to a scenario, which can be fetched once."""
+        """Wait for the answer to a scenario. It can be fetched only once."""
         first: Exception | None = None
         while not self.failure:
             self.add_all([task])
@@ -127,8 +127,8 @@ class DaskPool:
             try:
                 done = _result(self._under_way.pop(task))
             except Exception as error:  # noqa: BLE001  (Dask's errors have no base)
-                # A task that fails is tried once more.
-                # Only the second error counts: Dask may raise any if a worker dies while its answer is read.
+                # A task that fails is tried once more. Only the second error counts, because Dask may raise any error
+                # if a worker dies while its answer is read.
                 if first is None:
                     first = error
                 elif type(error).__name__ == "KilledWorker":
@@ -165,7 +165,7 @@ def _result(future: Future[Any]) -> Any:
         try:
             return future.result(POLL)
         except TimeoutError:
-            if future.done():  # the error is that of the task
+            if future.done():  # the task itself raised the error
                 raise
 
 
@@ -179,15 +179,15 @@ def _lost(task: Task, error: Exception) -> LostRun:
     return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
 
 
-# What is sent.
+# The data that are sent.
 
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """The data that workers need. Parcels with the same digest are equal, even without content."""
+    """A job as sent to workers. Parcels with the same digest are equal, even without content."""
 
     digest: str
-    content: bytes | None = field(compare=False)  # world, ADS factory and the function that reads from runs
+    content: bytes | None = field(compare=False)  # the pickled world and ADS factory
     patience: float = field(compare=False)  # the patience of the workers' pools, see WorkerPool [s]
     versions: dict[str, str] = field(compare=False)  # versions of packages in the session
     closing: dict[str, Any] = field(compare=False)  # see Job.closing
@@ -203,9 +203,9 @@ def packed(job: Job) -> Parcel:
     try:
         import cloudpickle  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package cloudpickle, which is missing; {INSTALL}") from None
+        raise ExecutionError(f"{OPTION}: expected the package cloudpickle, which is missing. Run `{INSTALL}`") from None
     with ExitStack() as stack:
-        # The loaded modules of the project, because other machines need not have them installed.
+        # The loaded modules of the project are sent, too, because other machines need not have them installed.
         for module in [each for each in list(sys.modules.values()) if _is_below(job.root, each)]:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
@@ -238,7 +238,7 @@ class _Call:
         return self._call
 
 
-# What a worker does.
+# The code that a worker runs.
 
 
 def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str | None:
@@ -274,7 +274,7 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
 
 @lru_cache(maxsize=4)
 def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
-    """Return a parcel with its content, and its idle child processes."""
+    # A parcel with its content, and its idle child processes.
     if parcel.content is None:
         raise LookupError
     return parcel, SimpleQueue()

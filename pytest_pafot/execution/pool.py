@@ -33,11 +33,11 @@ from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_res
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
-# Forked processes have the factory and its fixtures. The system libraries of other platforms do not survive a fork,
-# so the factory must be picklable there.
+# Forked processes have the factory and its fixtures. System libraries of platforms other than Linux do not survive a
+# fork, so the factory must be picklable there.
 START_METHOD = "fork" if sys.platform == "linux" else "spawn"
 
-GRACE = 5.0  # additional time for a decision after its limit, or for a process that does not answer [s]
+GRACE = 5.0  # additional time for a decision after its limit, or for a process that does not respond [s]
 IGNORED = 0.5  # additional time for a decision that ignores its interrupt; only the process ends, not the session [s]
 FAREWELL = 2.0  # time in which a process can end normally, together with its own child processes [s]
 
@@ -50,11 +50,11 @@ STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3  # why a process ends itself
 
 POLL = 0.5  # longest time between two checks that busy processes are alive [s]
 
-# A message begins with its length. If an ADS prints into the pipe, whose descriptor it found by chance, four characters
-# are read as a length, and the session would wait for so many bytes. The smallest such length is that of four spaces.
+# A message starts with its length. If an ADS prints into the pipe, because it found the descriptor by chance, four
+# characters are read as a length, and the session would wait for so many bytes. The smallest length is four spaces.
 LARGEST = 0x2020_2020 - 1  # largest size of an answer [bytes]
 
-# a function of a task, and of a function that sends messages before the answer
+# A function that runs a task. Its second argument is a function that sends messages before the answer.
 Work: TypeAlias = Callable[..., ResultT]
 
 
@@ -86,8 +86,8 @@ class ProcessLostError(Exception, Generic[TaskT]):
     @property
     def recovery(self) -> str:
         return (
-            f"a {self.who} {self.end} while it ran {self.task}, which ran to its end when it was tried again. There "
-            "may be too little memory for so many workers, or something else killed the process"
+            f"a {self.who} {self.end} while it ran {self.task}, which succeeded when it was run again. There may be "
+            "too little memory for so many workers, or something else killed the process"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -129,7 +129,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     clock: Callable[[], float] = monotonic
 
     def __post_init__(self) -> None:
-        # deaths of processes in tasks that succeeded in a second attempt
+        # The deaths of processes in tasks that succeeded in a second attempt.
         self.recovered: list[ProcessLostError[TaskT]] = []
         self.failure = ""  # why no process can be started, or empty
         self._has_lost = False  # whether a process has died
@@ -150,7 +150,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Start these tasks in their order, and drop earlier ones that were not fetched."""
+        """Start these tasks in this order, and drop earlier tasks that were not fetched."""
         self._pending, self._wanted, self._followed = deque(), set(), set()
         self._said, self._answers, self._suspects = deque(), {}, {}
         self.add_all(tasks)
@@ -192,8 +192,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         Raises:
             OutOfTime: if the time of the search has run out. All processes are ended.
         """
-        # A process may be killed because all processes together use too much memory. So such a task is tried again
-        # alone. Any other death counts only if a second process dies as well.
+        # A process may be killed because all processes together use too much memory, so its task is tried again while
+        # no other one runs. Any other death counts only if a second process dies as well.
         self.add_first([task])
         first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
@@ -214,7 +214,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return answer
 
     def completed(self) -> Iterator[tuple[TaskT, ResultT | Exception]]:
-        """Yield each task with its answer as soon as it is available. No task is tried twice."""
+        """Yield each task with its answer as soon as the answer is available. No task is tried twice."""
         while self._wanted:
             self._receive()
             self._send()
@@ -307,7 +307,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 self._look_at(worker, is_heard=is_heard)
 
     def _look_at(self, worker: _Worker[TaskT], *, is_heard: bool) -> None:
-        # Checked before the pipe is read: the last answer of a process that has ended is in the pipe by then.
+        # The process is checked before the pipe is read. If it has ended, its last answer is in the pipe by then.
         task, is_gone = worker.task, not worker.process.is_alive()
         if task is None:
             return
@@ -323,7 +323,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._said.append((task, said))
                 return
             is_gone = True
-        # The process sent nothing, so find out why. Its own reason comes first: it may be dead by now.
+        # The process sent nothing, so find out why. If it gave a reason itself, this counts, even if it is dead by now.
         if worker.gave_up.value == EXHAUSTED:
             self._lose(task, worker, OUT_OF_MEMORY)
         elif worker.gave_up.value == WORLD_STUCK:
@@ -389,14 +389,14 @@ class _Worker(Generic[TaskT]):
         self._asked_at: float | None = None
         # A forked process inherits these pipes, and has to close them.
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        # What is to do before the end needs time, and a thread that ends would take the process with it.
+        # A process with `leave` needs time before its end. One that another thread started would end with the thread.
         is_bound = leave is None and threading.current_thread() is threading.main_thread()
         patience = None if is_bound else farewell if leave else 0.0
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
         # A daemon, so that a worker of a cluster that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _blocked({signal.SIGINT}, context.get_start_method()):
-            # Python warns about any thread. This module has none, and those of numerical libraries are documented.
+            # Python warns about any thread. This module starts none, and the threads of libraries are documented.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
             self.process.start()
         self.pid = int(self.process.pid)
@@ -450,7 +450,7 @@ class _Worker(Generic[TaskT]):
         return is_done, said
 
     def silence(self, now: float) -> float:
-        """Return how long the process has not answered a signal [s]."""
+        """Return the time for which the process has not answered a signal [s]."""
         if self._beats.value != self._heard:
             self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
@@ -491,14 +491,14 @@ def _end_children(pid: int) -> list[int]:
 
 
 def _end_with_session(patience: float | None) -> None:
-    """Make this process end with the session, whatever policies and their threads do.
+    """Make this process end with the session, regardless of policies and their threads.
 
     With a ``patience`` of None, Linux kills it immediately. Otherwise it is interrupted, and ended after that time [s].
     """
     session: Any = multiprocessing.parent_process()
     main, pid = threading.get_ident(), os.getpid()
 
-    # Only children of the main thread: the system would send the signal when the thread ends that made a child.
+    # Only children of the main thread, because the system sends the signal when the thread that made a child ends.
     def bind_child() -> None:
         if threading.get_ident() == main and os.getppid() == pid:
             bound_to(pid, signal.SIGKILL)
@@ -507,7 +507,7 @@ def _end_with_session(patience: float | None) -> None:
         while session.is_alive() and os.getppid() == session.pid:  # a process of a policy may keep the pipe open
             session.join(POLL)
         if patience:
-            if sys.platform != "win32":  # where that would kill it
+            if sys.platform != "win32":  # on Windows, the signal would kill the process
                 os.kill(pid, signal.SIGTERM)
             time.sleep(patience)
         _end_children(pid)
@@ -516,13 +516,13 @@ def _end_with_session(patience: float | None) -> None:
     if patience is None and bound_to(session.pid, signal.SIGKILL):
         os.register_at_fork(after_in_child=bind_child)
     else:
-        # A signal that this thread took would not wake the main thread, which waits or sleeps.
+        # If this thread received a signal, the signal would not wake the main thread, which waits or sleeps.
         with _blocked(signal.valid_signals()):
             threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
 
 
 def _quietly(work: Work[Any], task: Any, tell: Callable[[Any], object]) -> Any:
-    # The first process that died has printed its stack, in about a hundred lines. Do not repeat them.
+    # The first process that died has printed its stack, in about a hundred lines, which need not be repeated.
     faulthandler.disable()
     return work(task, tell)
 
@@ -551,19 +551,19 @@ def _serve(
     def interrupt(*signalled: object) -> None:
         nonlocal is_leaving
         is_leaving = True
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # The next one ends a task that ignores the exception.
-        if may_raise:  # else no answer is cut in the middle, and the process finds that it is to end
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the next signal ends a task that ignores the exception
+        if may_raise:  # otherwise, the process first sends its answer completely, and then ends
             raise KeyboardInterrupt  # no run takes it for an error of its policy
 
     def end(why: int = STUCK) -> None:
         gave_up.value = why
-        time.sleep(2 * POLL)  # Meanwhile the pool kills it with its children, which it would leave behind.
+        time.sleep(2 * POLL)  # meanwhile, the pool kills this process and its children
         os._exit(1)
 
-    gc.freeze()  # Otherwise a garbage collection would touch, and so copy, all of the session's memory.
+    gc.freeze()  # otherwise, a garbage collection would touch, and so copy, all of the session's memory
     for other in inherited:
-        other.close()  # Otherwise the end of the session or of another process would go unnoticed.
-    multiprocessing.current_process().daemon = False  # Daemons may have no children, but an ADS may start processes.
+        other.close()  # otherwise, the end of the session or of another process would go unnoticed
+    multiprocessing.current_process().daemon = False  # daemons cannot have children, but an ADS may start processes
     # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
     # SIG_IGN, but must be interrupted.
     signal.signal(signal.SIGINT, lambda number, frame: None)
@@ -578,7 +578,7 @@ def _serve(
     with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             may_raise = True
-            if is_leaving or not connection.poll(idle):  # Python goes on to wait after a signal that raises nothing.
+            if is_leaving or not connection.poll(idle):  # Python continues to wait after a signal that raises nothing
                 break
             may_raise = False
             task = connection.recv()
@@ -590,7 +590,7 @@ def _serve(
                     raise KeyboardInterrupt
                 said = _sendable((True, work(task, tell)))
                 may_raise = False
-            except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
+            except MemoryError:  # not sent: the session would run the task itself and use up its own memory
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)

@@ -41,19 +41,19 @@ from pytest_pafot.world.engines.simulation import CLOSING, Simulators
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
-# The output of code in a different process: printed text, log records and warnings. The process of the test repeats it,
-# because pytest captures only the output of that process.
+# The output of code in a different process is printed text, log records and warnings. The process of the test repeats
+# it, because pytest captures only the output of that process.
 
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """The output of code in another process, which the process of the test repeats for pytest."""
+    """The output of code in another process."""
 
     out: str = ""
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
-    threads: list[tuple[str, str]] = field(default_factory=list)  # those that an exception ended, with the traceback
+    threads: list[tuple[str, str]] = field(default_factory=list)  # names and tracebacks of threads that raised
 
     def __bool__(self) -> bool:
         return bool(self.out or self.err or self.records or self.warned or self.threads)
@@ -119,20 +119,20 @@ METHOD = START_METHOD
 
 
 def forks() -> bool:
-    """Return whether processes are forked, so that they have all objects of this one."""
+    """Return whether processes are forked, and so have all objects of this process."""
     return METHOD == "fork"
 
 
 NOT_TRIED_HERE = (
-    "The ADS has to run in a separate process, which raised this, so the session does not try it again. Does the ADS "
-    "use something that another process cannot share, such as CUDA, a thread or a connection? Open it inside the "
+    "The ADS must run in a separate process, which raised this error, so the session does not run it again. Does the "
+    "ADS use something that another process cannot share, such as CUDA, a thread or a connection? Open it inside the "
     "factory, not before."
 )
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
 
-# the result of runs in a process, the captured output, and the duration of the runs [s]
+# The result of runs in a process, the captured output, and the duration of the runs [s].
 Timed: TypeAlias = tuple[Any, CapturedOutput, float]
 
 
@@ -151,7 +151,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A task for a process that runs a scenario with a method of the world, and sends the whole trace."""
+    """A task for a process that runs a scenario with a method of the world, and sends the complete trace."""
 
     scenario: Scenario
     method: str = "rollout"
@@ -160,20 +160,20 @@ class Whole:
         return str(self.scenario)
 
 
-# a run, or an exception, after which this process may repeat the run unless it is a ProcessLostError
+# A result, or an exception. Unless it is a ProcessLostError, this process may run the scenario again.
 Answer: TypeAlias = Timed | Exception
 
-# for scenarios and Whole ones, with an Answer, and for Chunks, which send several Timed
+# A pool for scenarios and Whole tasks, with an Answer each, and for Chunks, which send several Timed.
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 
-Drive: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]  # runs a scenario with the policies of a factory
+RunScenario: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]  # runs a scenario with the policies of a factory
 
 Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """The data that a run of any scenario needs, in any process.
+    """A world, a policy and the settings for running scenarios with them, in any process.
 
     Crash records are written to the folder ``records``, together with ``owner``, the node id of the test, and
     ``world_data``, the world as JSON-compatible data.
@@ -185,10 +185,10 @@ class Job:
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()  # the folder of the project, whose modules are sent to other machines
-    read: Callable[[Trace], Any] | None = None  # returns what a process sends instead of a trace
-    # runs a chunk in a process
+    read: Callable[[Trace], Any] | None = None  # returns the value that a process sends instead of a trace
+    # Runs a chunk in a process.
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
-    own: Drive | None = None  # runs scenarios instead of the world
+    own: RunScenario | None = None  # runs scenarios instead of the world
     remark: str = ""  # an addition to the note on the use of processes
     reference: str = ""  # the name of the policy if it is the reference of a search; empty for the tested one
 
@@ -215,8 +215,8 @@ class Job:
             seconds = monotonic() - started
         return trace, output, seconds
 
-    def driving(self, drive: str | Drive) -> Drive:
-        """Return a method of the world by its name, or a function, with seeded global generators."""
+    def driving(self, drive: str | RunScenario) -> RunScenario:
+        """Wrap a function, or the method of the world with a name, so that it runs with seeded global generators."""
         return partial(GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive)
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
@@ -224,14 +224,14 @@ class Job:
 
 
 class ExecutionError(Exception):
-    """An error for a run that needs another process when none can be started or used."""
+    """An error for a run that needs another process, if no process can be started or used."""
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
     """Return a pool of up to ``size`` processes that run the scenarios of a job.
 
     Raises:
-        ExecutionError: if processes cannot be forked, and world and ADS cannot be pickled.
+        ExecutionError: if processes cannot be forked, and the world or the ADS cannot be pickled.
     """
     work = partial(_run_task, job, job.crash_record(is_watched=True))
     if not forks():
@@ -263,7 +263,7 @@ def _close_simulators() -> CapturedOutput:
 def _run_task(
     job: Job, record: CrashRecord, task: Scenario | Whole | Chunk, say: Callable[[Timed], object]
 ) -> Timed | None:
-    # The record is closed after each task, since nothing would remove it after the session.
+    # The record is closed after each task, because nothing would remove it after the session.
     with record, GENERATORS.held():
         if isinstance(task, Whole):
             return run_recorded(job, record, task.scenario, None, task.method)
@@ -277,7 +277,7 @@ def _run_task(
 def run_recorded(
     job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Any] | None, method: str = "rollout"
 ) -> Timed:
-    """Run a scenario with its crash record on disk. The trace is read as by ``Job.read``."""
+    """Run a scenario while its crash record is on disk. ``read`` is a function like ``Job.read``, or None."""
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario, method)
     if read is None:
@@ -296,14 +296,14 @@ def _forget(job: Job, pid: int) -> None:
 
 
 def made_from(answer: Answer) -> Any:
-    """Return the result of an answer and repeat its output here, or None if the scenario must be run here.
+    """Return the result of an answer and repeat its output, or return None if this process must run the scenario.
 
     Raises:
         ProcessLostError: if the process died or hung.
     """
     __tracebackhide__ = True
     if isinstance(answer, ProcessLostError):
-        answer.task = getattr(answer.task, "scenario", answer.task)  # of a Whole one
+        answer.task = getattr(answer.task, "scenario", answer.task)  # the scenario of a Whole task
         raise answer
     if isinstance(answer, Exception):
         return None
@@ -345,7 +345,7 @@ def runner_for(
     """Return the runner of a job.
 
     Args:
-        job: the data that a run needs.
+        job: the world, the policy and the settings.
         record: the open crash record of this process. The caller clears it after each verdict, and closes it.
         workers: the largest number of other processes; 1 for this process alone.
         isolate: True if the ADS must never run in this process.
@@ -360,21 +360,21 @@ def runner_for(
 # A run in another process takes half a millisecond longer, and starting a process takes as long as several runs.
 DEAR = 0.010  # mean duration of a run from which other processes make a search faster [s]
 
-# The first run loads libraries. If it was slow, processes are started after it, and ended again if the next runs turn
-# out to be fast.
+# The first run loads libraries. If it is slow, processes are started after it. They are ended again if the next runs
+# turn out to be fast.
 WARM_RUNS = 2  # number of runs after the first one that decide whether other processes are used
 
 AHEAD, AHEAD_ELSEWHERE = 4, 128  # scenarios that are sent in advance to each process, and to all workers of a cluster
 
 
 class Here:
-    """A runner that makes all runs in this process."""
+    """A runner that simulates all scenarios in this process."""
 
-    is_elsewhere = False  # whether workers on other machines make the runs of results
+    is_elsewhere = False  # True if `results` uses workers on other machines
 
     def __init__(self, job: Job, record: CrashRecord) -> None:
         self.job = job
-        self.decisions = 0  # the number of decisions in the runs of once
+        self.decisions = 0  # the number of decisions in runs of `once`
         self._record = record
         self._held = ExitStack()
 
@@ -385,12 +385,12 @@ class Here:
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._held.close()
 
-    def once(self, scenario: Scenario, drive: str | Drive = "rollout", *, most: int | None = None) -> Any:
+    def once(self, scenario: Scenario, drive: str | RunScenario = "rollout", *, most: int | None = None) -> Any:
         """Run a scenario, and return the trace, or the result of the function ``drive``.
 
         Args:
             scenario: the scenario to run.
-            drive: the name of a method of the world that makes runs, or a function that runs a scenario.
+            drive: the name of a method of the world, or a function, that runs a scenario.
             most: the number of decisions after which the run may end with an error of the ADS.
 
         Raises:
@@ -406,9 +406,9 @@ class Here:
         return made
 
     def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
-        """Yield the result of each scenario in order: what ``Job.read`` returned, a trace, or a ``ProcessLostError``.
+        """Yield the result of each scenario in order: the value of ``Job.read``, a trace, or a ``ProcessLostError``.
 
-        ``skips`` is called in the turn of a scenario, and returns whether it need not be run after all.
+        ``skips`` is called when it is a scenario's turn. If it returns True, the scenario is not run after all.
         """
         __tracebackhide__ = True
         for scenario in filterfalse(skips, scenarios):
@@ -434,7 +434,7 @@ class Here:
         """The mean duration of the runs so far, without the first one [s]; 0 if it is not known."""
         return 0.0
 
-    def _once(self, scenario: Scenario, drive: str | Drive = "rollout", most: int | None = None) -> Any:
+    def _once(self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None) -> Any:
         __tracebackhide__ = True
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
@@ -442,7 +442,7 @@ class Here:
 
 
 class Apart(Here):
-    """A runner that makes runs in other processes: local workers, isolated processes, or those of a cluster.
+    """A runner that simulates scenarios in other processes: local workers, isolated processes, or a cluster.
 
     Args:
         job, record: as for :class:`Here`.
@@ -468,8 +468,8 @@ class Apart(Here):
         self._is_only = is_only
         self._cluster = cluster
         self._clock = clock
-        # Runs that were announced. Processes start only when a run turns out to be slow, see _learn.
-        self._expected: dict[Scenario | Whole, None] = {}  # runs known in advance that were not asked for, in order
+        # Processes start only when a run turns out to be slow, see _learn.
+        self._expected: dict[Scenario | Whole, None] = {}  # announced runs that were not yet requested, in order
         self.recovered: list[LostRun] = []  # deaths of processes of earlier pools in scenarios that succeeded later
         self._pool: ScenarioPool | None = None
         self._failure = ""
@@ -488,7 +488,7 @@ class Apart(Here):
         coming, most = iter(scenarios), AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
         ahead = deque[Scenario]()
         while True:
-            # Half of them are left to be run when the next ones are given, so nobody waits.
+            # New scenarios are sent while half of the old ones are still to be run, so that no process waits.
             if len(ahead) <= most // 2:
                 more = list(islice(coming, most - len(ahead)))
                 self._give(each for each in more if not skips(each))
@@ -517,24 +517,24 @@ class Apart(Here):
             if self.is_elsewhere or self._workers > 1:
                 self._expected.update(dict.fromkeys(tasks))
             return
-        for task in tasks:  # a task starts as soon as it is drawn
+        for task in tasks:  # each task starts as soon as the search has drawn it
             self._expected[task] = None
             self._pool.add_all([task])
 
-    def _once(self, scenario: Scenario, drive: str | Drive = "rollout", most: int | None = None) -> Any:
+    def _once(self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None) -> Any:
         __tracebackhide__ = True
         if not self._is_only:
             return self._made(scenario, Whole(scenario), most) if drive == "rollout" else super()._once(scenario, drive)
         if isinstance(drive, str):
             return self._made(scenario, Whole(scenario, drive))
-        # Only a process that is forked now has the function. That it died counts even if a second one did not.
+        # Only a process that is forked now has the function. Its death counts even if a second process survives.
         with pool_for(replace(self.job, own=drive, read=None), 1) as pool:
             answer = self._fetched(scenario, pool)
         return made_apart(pool.recovered[0] if pool.recovered else answer)
 
     def _made(self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None) -> Any:
         __tracebackhide__ = True
-        # None means that no process has the task, or that the process could not make the run, so this one does.
+        # None means that no process has the task or can run it, so this process does.
         made = self._collect(task or scenario)
         if made is None:
             started = self._clock()
@@ -542,7 +542,7 @@ class Apart(Here):
             if self._is_measured:
                 self._is_measured = False
                 self._learn(self._clock() - started)
-        elif isinstance(made, Trace):  # the judgement of the run may end this process
+        elif isinstance(made, Trace):  # the evaluation of the run may end this process
             self._record.write(scenario, reference=self.job.reference)
         return made
 
@@ -575,7 +575,7 @@ class Apart(Here):
         return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
 
     def drive(self, task: Chunk) -> bool:
-        """Have a process run a chunk. Return False if no process can."""
+        """Start a chunk in another process. Return False if no process can run it."""
         if self._pool is None and not self._failure:
             self._start()
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
@@ -599,7 +599,7 @@ class Apart(Here):
         return [*self.recovered, *([] if self._pool is None else self._pool.recovered)]
 
     def _collect(self, task: Scenario | Whole) -> Any:
-        """Return the result of another process, or None if this process must make the run."""
+        """Return the result of another process, or None if this process must run the scenario."""
         __tracebackhide__ = True
         if self._is_only:
             self._expected.pop(task, None)
@@ -629,13 +629,13 @@ class Apart(Here):
         answer: Answer = pool.fetch(task)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes that run the ADS, received: {pool.failure}")
-        # A worker on another machine may lack a package. The error must not be taken for one of the ADS.
+        # A package may be missing on another machine. This must not be taken for an error of the ADS.
         is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
         if is_raised and self.is_elsewhere and own is None:
             raise ExecutionError(
-                f"{flag('isolate')}: expected workers that can make every run, received {type(answer).__name__}: "
-                f"{answer} from one of them. Install what the run needs on the workers. Or search without "
-                f"{flag('isolate')}, so that this process makes such runs"
+                f"{flag('isolate')}: expected workers that can run every scenario, received {type(answer).__name__}: "
+                f"{answer} from one of them. Install the missing packages on the workers. Or search without "
+                f"{flag('isolate')}, so that this process can run such scenarios"
             )
         return answer
 
@@ -645,7 +645,7 @@ class Apart(Here):
 
     def _learn(self, seconds: float) -> None:
         self.count(1, seconds)
-        # The first run is not in the mean, since it loads libraries.
+        # The first run is not in the mean, because it loads libraries.
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
         if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear and not self._drives:
             self._pool.close(at_once=True)
@@ -668,7 +668,7 @@ class Apart(Here):
 
 
 def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object]) -> Trace:
-    """Return the trace of a run in a separate process, which also evaluates the run if it is forked.
+    """Run a scenario in a separate process, which also evaluates the run if it is forked. Return the trace.
 
     Raises:
         ProcessLostError: if the process died or hung, even if a second one did not.
@@ -678,7 +678,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
 
     def drive(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
         trace: Trace = GENERATORS.run(job.world.rollout, scenario, ads)
-        # The evaluation may end the process, too. It needs the fixtures of the test, which only a forked process has.
+        # The evaluation can end the process, too. It needs the fixtures of the test, which only a forked process has.
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace

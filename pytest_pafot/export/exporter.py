@@ -1,4 +1,4 @@
-"""The command ``export``, which writes the run of a finding to files for other tools, and their formats."""
+"""The command ``export``, which writes the run of a finding to files for other tools."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def name_of(vehicle: int) -> str:
     return f"npc{vehicle - 1}" if vehicle else "ego"
 
 
-# The module of this package, and the exporter in it, of each format.
+# For each format, the module of this package and the function that exports.
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
         "commonroad": "commonroad_xml:export",
@@ -80,17 +80,17 @@ FORMATS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# The extra of pytest-pafot that installs a library, for each library that a format needs.
+# For each library that a format needs, the extra of pytest-pafot that installs it.
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
 )
 
 
 class Exporter(Protocol):
-    """The type of a function that turns a run of a finding into files."""
+    """The type of a function that exports the run of a finding to files."""
 
     def __call__(self, finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-        """Return the content of each file by its name, which starts with the finding's id. Write nothing."""
+        """Return the content of each file by name, without writing it. The names start with the finding's id."""
 
 
 class ExportError(FieldError):
@@ -142,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
     of_ads = "drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)
-    add_world_arguments(parser, "needed if the world of the file is code, such as wrappers", has_config=False)
+    add_world_arguments(parser, "required if the world of the file is code, such as wrappers", has_config=False)
     of_out = "write to this folder (default: the current folder)"
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
 
@@ -160,7 +160,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     error = driven.trace.error
     if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
         expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
-        fix = "use the policy of the test" + ("" if made is None else ", and its world, or omit --world if it is data")
+        fix = "use the policy of the test" + ("" if made is None else ", and its world if that is code")
         raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
     files = export(saved.finding, driven.trace)
     with postponed():  # one of several files is useless alone, such as a scenario without its road
@@ -171,9 +171,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
-        world_too = "" if arguments.world is None else ", and --world its world"
+        world_too = "" if arguments.world is None else " and the world"
         sys.stderr.write(
             f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
-            f"{driven.duration:.1f} s. Did you pass the policy of its test{world_too}?\n"
+            f"{driven.duration:.1f} s. Did you pass the policy{world_too} of its test?\n"
         )
     return 0

@@ -15,7 +15,7 @@ from pytest_pafot.export.exporter import centre_line, name_of, states_of, tangen
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Lane, X, Y
 
-# OpenDRIVE: the lanes of a trace become roads. The file has the position of each lane, but no junctions between lanes.
+# In the OpenDRIVE file, the lanes of a trace become roads. It has the position of each lane, but no junctions.
 
 NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs give equal files
 
@@ -60,17 +60,17 @@ def text_of(element: ElementTree.Element) -> bytes:
 
 
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
-    """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad]."""
+    """Yield the pieces of a lane's centre line, each with its start [m] and its heading at the start [rad]."""
     line = centre_line(lane)
     if not lane.points:
         yield xodr.Line(lane.length), line[0], -lane.heading
         return
-    # Between two points of a bend, the piece is a cubic curve with the direction of the line at both points (Hermite).
+    # Between two points of a curve, the piece is a cubic with the direction of the line at both points (Hermite).
     directions = tangents(line)
     for start, end, first, last in zip(line, line[1:], directions, directions[1:], strict=False):
         chord = end - start
         length = math.hypot(*chord)
-        # The coordinates of the piece have its start at the origin and its first direction ahead.
+        # In the coordinates of the piece, the start is at the origin, and the first direction is ahead.
         turned = np.array([first, (-first[1], first[0])])
         u, v = turned @ chord, turned @ last * length
         to, leaving, entering = u, np.array([length, 0.0]), v
@@ -92,7 +92,7 @@ ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
 
 
 def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
-    """Return an OpenSCENARIO file of version 1.2 or another minor version, and its OpenDRIVE file."""
+    """Return an OpenSCENARIO file of version 1.2, or of another minor version, and its OpenDRIVE file."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0, minor))
@@ -103,7 +103,7 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         positions = _rear_axles(states, size[0])
         kind = trace.vehicle_type(vehicle).kind
         box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
-        if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
+        if minor == 0:  # CARLA's scenario_runner, which reads this version, finds the ego by this property
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")
         entities.add_scenario_object(name, box)
         init.add_init_action(name, xosc.TeleportAction(positions[0]))

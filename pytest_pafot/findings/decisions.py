@@ -15,7 +15,7 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
-# The parts of a planner's decision: the smallest difference that counts, and how each is shown.
+# For each part of a planner's action: the smallest difference that counts, and the format for messages.
 PARTS = {
     "acceleration": (0.2, "{:z.1f} m/s^2"),
     "steering": (0.02, "{:z.2f} rad"),
@@ -23,12 +23,12 @@ PARTS = {
     "lateral_acceleration": (0.2, "{:z.1f} m/s^2"),
     "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
-SHARE = 0.05  # the smallest difference between two values of an action in an environment's own units
+SHARE = 0.05  # the smallest difference that counts between two numbers in an environment's own units
 CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego drives along it [m]
 ALONG = DRIFTING / 10  # the sideways speed below which the ego drives along the road [m/s]
-# The sideways speed, or change of it from one decision to the next, that no steering causes [m/s].
+# Below this sideways speed, or change of sideways speed between two decisions, the ego does not steer [m/s].
 STEADY = 0.003
-# The shortest time of a drift to a line [s]: a change of lanes starts slowly, too, but is over the line earlier.
+# A drift takes at least this long to reach the line [s]. A lane change also starts slowly, but reaches it earlier.
 DRIFT_SECONDS = 3.0
 # The faults of an ego that should not have braked.
 NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
@@ -39,36 +39,36 @@ class Moment:
     """The last decision that could have avoided a failure."""
 
     time: float  # time of the decision [s]
-    npc: int | None  # index of the vehicle that the decision is about; None for none
-    seen: str = ""  # where the policy saw the vehicle; empty if that is unknown
-    was: str = ""  # where the vehicle was, if it is unknown whether the policy saw it; otherwise empty
+    npc: int | None  # index of the NPC that the decision is about, or None
+    seen: str = ""  # where the policy saw the NPC; empty if that is unknown
+    was: str = ""  # where the NPC was, if it is unknown whether the policy saw it; otherwise empty
     action: str = ""  # the action of the policy
-    # The action with the vehicle hidden in this one decision; empty for the same action, None if unknown.
+    # The action if the NPC is hidden in this decision; empty if it is the same action, None if unknown.
     hidden: str | None = None
-    # The smallest tried change of the vehicle with which the policy decides differently, and that action; empty if no
-    # change had an effect, None if none was tried.
+    # The smallest of the tried changes of the NPC that alter the action, and the altered action; empty if no change has
+    # an effect, None if none was tried.
     otherwise: str | None = None
     reference: str = ""  # the action of the reference, if the test has one and this is the first decision that differs
-    # The conditions that the policy evaluated, each with its line, values and outcome, by the vehicle that they are
-    # about: this one, then none or unknown, then others. First in each group are those with another outcome after the
-    # change in `otherwise`; the rest follow from the last to the first.
+    # The conditions that the policy evaluated, each with its line, values and outcome, in groups: about this NPC, about
+    # no vehicle or an unknown one, about other vehicles. A group starts with the conditions that have another outcome
+    # after the change in `otherwise`. The others follow, the latest first.
     conditions: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     def __str__(self) -> str:
         whom, changed = f"NPC {self.npc}", [self.brief.removesuffix(".")]
         if self.hidden is not None and not self.reference:
-            changed.insert(1, f"with {whom} hidden {self.hidden or 'the same'}")
+            changed.insert(1, f"with {whom} hidden, it chose {self.hidden or 'the same'}")
         if self.otherwise == "" and not self.reference:
-            changed.append(f"no change of {whom} that was tried has an effect")
+            changed.append(f"no change of {whom} that was tried had an effect")
         return f"{'; '.join(changed)}."
 
     @property
     def brief(self) -> str:
-        """The decision in a sentence, with the smallest change that changes it."""
+        """The decision in one sentence, with the smallest change of the NPC that alters it."""
         at = f"At {self.time:.1f} s"
         if self.reference:
             first = f"{at}, in the first decision that differs, the policy chose {self.action}"
-            return f"{first}, the reference {self.reference}."
+            return f"{first}, and the reference {self.reference}."
         saw = f"saw NPC {self.npc} {self.seen}, and " if self.seen else ""
         was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
         otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
@@ -83,23 +83,19 @@ class Moment:
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:
-    """Return the NPC that a failure is about, if there is one."""
-    # It is the one that was hit, that a check names, or that was nearest. There is none for a fixed object, or for a
-    # failure that is no check.
+    """Return the NPC that a failure is about, or None."""
     if run.collision is not None and expect.check is None:
-        return run.collision.npc
+        return run.collision.npc  # None for a fixed object
     if expect.npc is not None or expect.check is None:
         return expect.npc
+    # The check names no NPC, so take the nearest one.
     tick = min(round(expect.time * run.trace.physics_hz), run.trace.ticks)
     away = np.hypot(*(run.trace.states[tick, 1:, [X, Y]] - run.trace.ego[tick, [X, Y], None]))
     return None if np.isnan(away).all() or not away.size else int(np.nanargmin(away))
 
 
 def deciding(run: Run, expect: Expect) -> int | None:
-    """Return the last decision that could have avoided a failure."""
-    # For a collision, it is the last decision at which a careful driver who takes over avoids it. If there is none, or
-    # the ego braked for nothing, it is the one at the time that the verdict names. For a change of lanes it is the one
-    # that started the motion, or turned it back. For a failed check it is the last one before the check.
+    """Return the index of the last decision that could have avoided a failure, or None."""
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
 
@@ -108,17 +104,19 @@ def deciding(run: Run, expect: Expect) -> int | None:
 
     if not ticks:
         return None
-    if run.collision is None or expect.check is not None:
+    if run.collision is None or expect.check is not None:  # the last decision before a failed check
         return None if expect.check is None else at(expect.time)
     if (number := moved_over(run)) is not None:
         return number
+    # The last decision at which a careful driver who takes over avoids the collision. If there is none, or if the ego
+    # braked for nothing, it is the decision at the time of the verdict.
     if expect.takeover and attribution.fault not in NEEDLESS:
         return at(expect.time - expect.takeover)
     return at(attribution.time or 0.0) if attribution.fault else None
 
 
 def moved_over(run: Run) -> int | None:
-    """Return the decision that started a change of lanes by a responsible ego."""
+    """Return the index of the decision that started the lane change of an ego at fault, or None."""
     trace, attribution = run.trace, run.attribution
     if attribution.fault != "entered-lane" or not trace.decision_ticks:
         return None
@@ -127,11 +125,11 @@ def moved_over(run: Run) -> int | None:
 
 
 def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
-    """Return the sentences that explain a run, with the decision that started a lane change of an ego at fault."""
+    """Return the sentences that explain a run, with the start of a lane change for which the ego is at fault."""
     sentences, number = expect.sentences_on(run), moved_over(run)
     if not sentences or number is None:
         return sentences
-    # No verdict knows the decisions, so its sentence on the lane change has only the time at the line.
+    # A verdict does not know the decisions, so its sentence states only when the ego crossed the line.
     began = f"{run.trace.decision_ticks[number] / run.trace.physics_hz:.1f} s"
     is_drift = _drifted(run.trace, number, run.attribution.time or 0.0)
     did = f"drifted from {began}" if is_drift else f"began to change lanes at {began}"
@@ -139,15 +137,15 @@ def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
 
 
 def deed_of(run: Run, sentences: Sequence[str]) -> str:
-    """Return the sentence that states what the ego did wrong; empty if the ego is not at fault."""
-    if run.responsibility not in ("ego", "both") or len(sentences) < 2:  # a fixed object has only a verdict
+    """Return the sentence on what the ego did wrong, or an empty string if the ego is not at fault."""
+    if run.responsibility not in ("ego", "both") or len(sentences) < 2:  # a fixed object has only the last sentence
         return ""
     return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
 
 
 def _drifted(trace: Trace, number: int, crossed: float) -> bool:
-    # A drift takes long, and is no faster than a vehicle wanders. `crossed` is when the ego was over the line [s]. An
-    # ego that has chosen another lane changes lanes.
+    # A drift takes long, and is as slow as a vehicle that wanders. An ego that has chosen another lane does not drift.
+    # `crossed` is the time at which the ego crosses the line [s].
     begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
     lane = _lane_of(trace.actions[number], None) if number < len(trace.actions) else None
     if lane not in (None, trace.ego[begin, LANE]) or end - begin < DRIFT_SECONDS * trace.physics_hz:
@@ -156,14 +154,14 @@ def _drifted(trace: Trace, number: int, crossed: float) -> bool:
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:
-    # `number` is the last decision up to the tick. After a motion to the other side, the decision that turned back
-    # started the motion.
+    # `number` is the last decision up to the tick. If the ego moved to the other side before, its motion starts with
+    # the decision to turn back.
     ticks = trace.decision_ticks
     drifts = frame_of(trace).drift[0]
     side = 1.0 if drifts[tick] > 0 else -1.0
     lanes = [_lane_of(action, math.nan) for action in trace.actions[: number + 1]]
     is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
-    if any(is_across):  # The ego is steered softly to an answered lane, so its motion shows the decision late.
+    if any(is_across):  # The ego is steered gently to the lane of a LaneCommand, so its motion shows the decision late.
         while not is_across[number]:
             number -= 1
         while number and is_across[number - 1]:
@@ -173,7 +171,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     off_centre = np.abs(trace.track_of(0)[ticks, OFFSET])
     while number and drift[number] >= ALONG:
         number -= 1
-    # The ego turned back while it still moved to the other side, and turned off before it moved visibly.
+    # The ego turns back while it still moves to the other side, and steers before it visibly moves.
     while number and drift[number - 1] < drift[number] - STEADY:
         if -ALONG < drift[number] < STEADY and off_centre[number] < CENTRED:
             break
@@ -182,7 +180,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
 
 
 def seen_of(trace: Trace, npc: int, number: int) -> str:
-    """Describe where a vehicle was relative to the ego."""
+    """Describe the position of an NPC relative to the ego at a decision."""
     ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
     turn = trace.road.direction_of_places(trace.decision_ticks[number])
     (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
@@ -191,9 +189,9 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
 
 
 def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
-    """Describe a position relative to the ego."""
-    # `ahead` and `right` are between the centres [m], and `faster` is in m/s. A box is a heading [rad], a length and a
-    # width [m]. The gap is the one of a verdict, between the boxes along the road.
+    """Describe a position and a speed relative to the ego."""
+    # `ahead` and `right` are between the centres [m], and `faster` is in m/s. Each of the two boxes is a heading [rad],
+    # a length and a width [m]. As in a verdict, the gap is between the boxes.
     gap = abs(ahead)
     for angle, length, width in boxes:
         gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
@@ -205,13 +203,12 @@ def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float
 
 def differ(action: Any, other: Any) -> bool:
     """Return whether two actions differ noticeably."""
-    # A vehicle far away changes the output of a network a little.
     if other is None or type(action) is not type(other):
         return action is not other
     if is_planners(action):
         return bool(differing_parts(action, other))
     here, there = _plain(action), _plain(other)
-    if isinstance(here, float):
+    if isinstance(here, float):  # even a vehicle far away changes the output of a network a little
         return bool(abs(here - there) >= SHARE)
     if isinstance(here, list):
         return len(here) != len(there) or any(map(differ, here, there))
@@ -225,12 +222,12 @@ def _plain(action: Any) -> Any:
         return action.tolist()
     if isinstance(action, tuple):
         return list(action)
-    is_bare = repr(action) == object.__repr__(action)  # which has the address of the object
+    is_bare = repr(action) == object.__repr__(action)  # contains the address of the object
     return vars(action) if hasattr(action, "__dict__") and (is_bare or is_dataclass(action)) else action
 
 
 def text_of_any(action: Any) -> str:
-    """Describe an action with three digits of each number."""
+    """Format an action with three digits per number."""
     plain = _plain(action)
     if isinstance(plain, float):
         return f"{plain:.3g}"
@@ -245,7 +242,7 @@ def text_of_any(action: Any) -> str:
 
 
 def is_planners(action: Any) -> bool:
-    """Return whether an action is a pair in SI units or a ``Drive``."""
+    """Return whether an action is a pair in SI units or a ``LaneCommand``."""
     return is_si(action) or type(action).__module__ == "pytest_pafot.world.kernel.action"
 
 
@@ -259,7 +256,7 @@ def is_si(action: Any) -> bool:
 
 
 def parts_of(action: Any) -> dict[str, Any]:
-    """Return the named parts of a planner's action."""
+    """Return the parts of a planner's action by name."""
     if is_si(action):
         return dict(zip(("acceleration", "steering"), action, strict=True))
     return {field.name: getattr(action, field.name) for field in fields(action)}

@@ -1,4 +1,4 @@
-"""Findings as the corpus stores them, and what their replays mean."""
+"""Findings as stored in the corpus, and the meaning of their replays."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from pytest_pafot.oracle.run import Check, CheckFailed, Run
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import capitalised, visible
 
-# Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
+# Everything that differs between processes is removed from error messages, so that equal seeds write equal files.
 
 _ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
 _PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
 _FOLDERS = r"(?:[^\s\"'<>|*?:\\/]+[\\/])*"
 _TO_PACKAGES = re.compile(
-    # A match may start only at a path's first character; otherwise a long path takes quadratic time.
+    # A match can start only at the first character of a path. Otherwise, a long path would take quadratic time.
     rf"(?<![\w.])(?:[A-Za-z]:)?[\\/]{_FOLDERS}(?=(?:site|dist)-packages[\\/]|python3\.\d+[\\/](?!site|dist))"
 )
 _TEMPORARY = re.compile(
@@ -56,8 +56,7 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 def portable(text: str, root: str = "") -> str:
     """Replace everything in a text that differs between processes or checkouts."""
-    # Paths become relative to the project's folder `root`, or to the folder of installed packages.
-    if root:
+    if root:  # paths become relative to the project, or below to the folder of installed packages
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
     text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
@@ -69,12 +68,13 @@ MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
-RUNS = 10  # the number of runs, each with another seed, in which it is counted how often a policy fails
+RUNS = 10  # the number of runs, each with another seed, that measure how often a policy fails
 
-# The number of failures from which on ten runs without a failure are a fix: with a proportion of 0.3, the chance that
-# none of them fails is 0.7 ** 10, less than 3 %.
+# If at least this many of ten runs failed, ten runs without a failure show a fix. If 30 % of all runs fail, the chance
+# that none of ten does is 0.7 ** 10, less than 3 %.
 ENOUGH = 3
 
+# Ids are part of file names and node ids on every platform.
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
@@ -90,7 +90,7 @@ class Bounded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expect:
-    """The expected result of running the scenario while the failure is not fixed.
+    """The result that the scenario gives until the failure is fixed.
 
     Attributes:
         failure: name of the exception class; `ProcessCrash` if the process died or hung.
@@ -98,21 +98,21 @@ class Expect:
         check: value and bounds of the failed check, or None.
         message: first line of the exception's message; empty if ``assertion`` already states it.
         outcome: how the run ended.
-        time: time of the failed check, otherwise of the event [s].
-        npc, cell: the NPC and its cell at the collision, otherwise at the smallest time to contact. For a failed
-            check, the NPC that it names.
+        time: time of the failed check, or else of the run's most important event [s].
+        npc, cell: the NPC and its cell at the collision, or else at the smallest time to contact. For a failed check,
+            the NPC that the check names.
         zone: zone in which the NPC crossed, such as ``crossing from the left``.
         side: side of the ego that was hit.
         closing_speed: closing speed of the collision [m/s]; None if it is unknown.
-        situation: situation from which the failure arose, or None. A replay shows a fix only if it occurs again.
+        situation: situation from which the failure arose, or None. Only a replay in which it occurs can show a fix.
         responsibility: who is responsible for the collision.
         fault: rule that the ego broke.
         mistake: what the ego did wrong, for the fault ``entered-lane``.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
-        takeover: latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none of
-            the last 3 s does, None if it is unknown.
+        takeover: latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if no takeover
+            in the last 3 s does, None if it is unknown.
         against: the reference that passed the scenario, such as ``module:factory``, or empty.
-        traceback: traceback of an ADS that raised.
+        traceback: traceback of the ADS's exception.
     """
 
     failure: str
@@ -154,7 +154,7 @@ class Expect:
             return str(Check(name=self.assertion, value=value, margin=-1.0, time=self.time, npc=self.npc, **told))
         if self.is_crash or self.message:
             return f"{self.failure}: {self.message}" if self.message else self.failure
-        if self.signature.is_property or self.outcome is Outcome.SAFE:
+        if self.signature.is_property or self.outcome is Outcome.COMPLETED:
             how = "fails" if self.failure == AssertionError.__name__ else f"raises {self.failure}"
             return f"{self.assertion.removeprefix('assert ') or 'the test function'} {how}"
         if self.outcome is not Outcome.COLLISION:
@@ -168,7 +168,7 @@ class Expect:
         return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        # If the run has this collision, the last sentence is on what a careful driver avoids.
+        # If the run has this collision, the last sentence also states whether a careful driver could avoid it.
         told = run.sentences
         if self.takeover is None or not self.is_of(run):
             return told
@@ -188,13 +188,13 @@ class Expect:
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
         # An assertion already contains its message. An error of the ADS is known by its message alone.
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
-        # The last lines say where it was raised. The text is cut before it is made portable, too, which saves time.
+        # The last lines show where it was raised. The text is cut here and below, because making it portable is slow.
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         bounded, check = None, failure.check
         if check is not None:
-            # A measured value differs in its last digits between processors; a bound is the user's own number.
+            # The last digits of a measured value depend on the processor. A bound is a number that the user chose.
             bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
             bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
@@ -229,8 +229,8 @@ class Found:
 
     Attributes:
         seed: seed of the search, which depends on the base seed and the test, and cannot be passed to ``--pafot-seed``.
-        generation: generation of the search that found the failure, from 0.
-        algorithm: name of the search.
+        generation: generation in which the search found the failure, from 0.
+        algorithm: name of the search algorithm, or ``crash`` for a crash record.
         policy: name of the policy; None if it is unknown.
         worst_closing_speed: highest closing speed of the same failure in that search [m/s]; None without a
             collision.
@@ -245,13 +245,13 @@ class Found:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-# The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`).
+# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
 IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureRate:
-    """The number of runs of one scenario, and of those that fail."""
+    """The numbers of failing runs and of all runs of one scenario."""
 
     failing: int
     runs: int = RUNS
@@ -261,30 +261,29 @@ class FailureRate:
 
 
 def with_other_seed(scenario: Scenario, number: int) -> Scenario:
-    """Return a scenario in which a policy draws other numbers."""
-    # The number 0 is the scenario itself.
+    """Return a scenario with another seed; number 0 is the scenario itself."""
     return replace(scenario, seed=(scenario.seed + number) % (MAX_SEED + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Finding:
-    """A finding, the content of one file of the corpus.
+    """A distinct failure, as stored in one file of the corpus.
 
     Attributes:
         id: name of the file without its suffix, which never changes: letters, digits, ``.``, ``_`` and ``-``.
         test: node id of the test, including its parameters.
         scenario: the scenario that fails.
-        world: the world in which the scenario fails, as plain data.
-        expect: the expected result of running the scenario.
+        world: the world in which the scenario fails, as JSON-compatible data.
+        expect: the result that the scenario gives until the failure is fixed.
         found: the origin of the finding.
         perception: limits and errors of the ADS's perception; None without any.
         shrunk: the result of shrinking, or None.
-        rate: how many runs of the scenario fail, if the policy draws random numbers or the scenario is flaky;
+        rate: number of runs of the scenario that fail, if the policy draws random numbers or the scenario is flaky;
             otherwise None.
-        flaky: what differed when the scenario was run again, or None. A flaky finding is never reported as fixed.
+        flaky: difference between two runs of the scenario, or None. A flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted, or None.
-        trace: trace of the run that shows the failure, if a search in this process made it.
+        trace: trace of the run that shows the failure, if a search in this process recorded it.
     """
 
     id: str
@@ -324,12 +323,12 @@ class Finding:
 
     @property
     def drawn(self) -> str:
-        """The difference between the runs of the rate: ``seeds`` or ``runs``."""
+        """The noun for the runs of the rate: ``seeds`` if each has another seed, otherwise ``runs``."""
         return "seeds" if self.flaky is None else "runs"
 
     @property
     def on_rate(self) -> str:
-        """A sentence on the rate, or an empty string."""
+        """The rate in words, or an empty string."""
         if self.rate is None:
             return ""
         other = "other " if self.flaky is None else ""
@@ -337,11 +336,11 @@ class Finding:
 
     @property
     def accepted(self) -> str:
-        """Why and until when the failure is accepted, or an empty string."""
+        """The reason and the last day of the acceptance, or an empty string."""
         return "" if self.xfail is None else f"{self.xfail}, until {self.xfail_until}"
 
     def accepting(self, reason: str | None, until: date | None) -> Finding:
-        """Return the finding with a different value of ``xfail``."""
+        """Return the finding with another reason and last day of acceptance."""
         return replace(self, xfail=reason, xfail_until=until)
 
     def is_accepted(self, today: date) -> bool:
@@ -350,13 +349,12 @@ class Finding:
 
     @property
     def worst_known(self) -> float:
-        """The highest known closing speed of this failure [m/s]."""
-        # Infinite if none is known.
+        """The highest known closing speed of this failure [m/s], or infinity."""
         speeds = (self.expect.closing_speed, self.found.worst_closing_speed)
         return max((each for each in speeds if each is not None), default=math.inf)
 
     def with_sight(self, line: str) -> str:
-        """Return a line on the failure that also names the imperfect perception."""
+        """Add the imperfect perception, if any, to a line on the failure."""
         return line if self.perception is None else f"{line}, found with {self.perception.described}"
 
     @classmethod
@@ -382,7 +380,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The time of a failure [s], and the NPC with its cell or zone."""
+    """The time of a failure [s], and the NPC involved, with its cell or zone."""
 
     time: float
     npc: int | None = None
@@ -391,7 +389,7 @@ class FailureEvent:
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
-    """Return the event of a failed check, otherwise of the run."""
+    """Return the event of a failed check, or else the event of the run."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
@@ -404,7 +402,7 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
 
 
 def _rounded(value: float | None, digits: int) -> float | None:
-    # From 1, to `digits` decimals; below 1, to `digits` significant digits.
+    # Round to `digits` decimals, or below 1 to `digits` significant digits.
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
@@ -416,14 +414,13 @@ def of_failure(run: Run, failure: Failure) -> Signature:
 
 
 def is_id(text: str) -> bool:
-    """Return whether a text can be an id."""
-    # Ids are part of file names and node ids on every platform.
+    """Return whether a string is a valid id."""
     return _ID.fullmatch(text) is not None and not text.endswith(".")
 
 
 def ads_failure(run: Run) -> Failure | None:
     """Return the failure of the ADS itself, or None."""
-    # An ADS fails if it raises, returns no valid action, or hangs, whatever the test function asserts.
+    # An ADS fails if it raises, returns an invalid action or hangs, regardless of the test function.
     error = run.ads_error
     if error is None:
         return None
@@ -432,19 +429,19 @@ def ads_failure(run: Run) -> Failure | None:
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
     """Return the failure for an exception of a test function."""
-    # The assertion is the failed `assert` statement, even in a helper module. Without one it is the last statement of
-    # the test file in the traceback, so that changes in third-party libraries do not change a signature. `test_file` is
-    # the path in code objects.
+    # `test_file` is the path in code objects.
     if isinstance(exception, CheckFailed):
         check = exception.check
         return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     told = getattr(exception, "assertion", None)
     if type(exception) is AssertionError and isinstance(told, str):  # see oracle/run.py:require
         return Failure(kind="AssertionError", message=message_of(exception), assertion=told)
+    # The assertion is the failed `assert` statement, even in a helper module. Without one, it is the last statement of
+    # the test file in the traceback, so that changes in third-party libraries do not change a signature.
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""
-    # Other code may be before it on its line, as in `if run.collision: assert ...`.
+    # Other code can precede it on the same line, as in `if run.collision: assert ...`.
     asserted = (
         re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL) if isinstance(exception, AssertionError) else None
     )
@@ -453,13 +450,12 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
 
 
 def message_of(exception: BaseException) -> str:
-    """Return the text of an exception, even if ``__str__`` raises."""
+    """Return the message of an exception, even if ``__str__`` raises."""
     return str(traceback.TracebackException(type(exception), exception, None, compact=True))
 
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
-    """Raise a ValueError for data that a file cannot store."""
-    # The message names the position in the data.
+    """Raise a ValueError that names the position of data that a file cannot store."""
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
         return
     if depth >= MAX_DEPTH:
@@ -467,15 +463,15 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if not isinstance(key, str) or len(key) > MAX_KEY:
-                raise ValueError(f"{name}: expected strings of at most {MAX_KEY} characters as keys, not {key!r:.80}")
+                raise ValueError(f"{name}: expected string keys of at most {MAX_KEY} characters, received {key!r:.80}")
             check_plain(f"{name}.{key}", inner, depth + 1)
     elif isinstance(value, list):
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
         raise ValueError(
-            f"{name}: expected plain data (null, true/false, numbers, strings, lists, mappings), "
-            f"received {type(value).__name__} {value!r:.60}. Convert it"
+            f"{name}: expected null, true, false, a number, a string, a list or a mapping, "
+            f"received {type(value).__name__} {value!r:.60}. Convert it to one of these"
         )
 
 
@@ -485,7 +481,7 @@ def _portable_line(failure: Failure, root: str) -> str:
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
-    # One source text and file for each entry of the traceback. A text may be empty.
+    # The source text, which can be empty, and the file of each entry of the traceback.
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
         at = tb.tb_lasti // 2
@@ -497,39 +493,37 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
         tb = tb.tb_next
 
 
-# The meaning of a replay: whether a run shows the failure of a file, and what a pass says about it.
+# The meaning of a replay: whether a run shows the failure of a file, and whether a pass shows a fix.
 
-# Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run.
+# Two runs without contact count as the same if no position differs by more than this distance [m].
 SAME_PLACE = 0.5
 
 SAME_TIME = 0.2  # largest difference between the times of two events that count as the same event [s]
 
-# The time for which a replay that passes continues after the end of its file's run [s]. A file ends shortly after
-# its failure, so a policy that only drives more slowly passes before it makes the same mistake.
+# A replay that passes continues for this time after the end of the saved run [s]. A saved run ends shortly after its
+# failure, so a policy that only drives more slowly would pass before it makes the same mistake.
 DRIVEN_ON = 10.0
 
-# The largest difference [m/s] by which an accepted collision may be faster than the worst that was known.
+# An accepted collision can be faster than the worst known one by at most this difference [m/s].
 ACCEPTED_FASTER = 1.0
 
-# Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment.
+# Outcomes that are the event of the run. For any other outcome, the event is the most critical moment.
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
 
 
 def handles(finding: Finding, run: Run) -> bool:
     """Return whether a passing run handled the saved situation."""
-    # The situation must have occurred. If a collision that is no failure ends the run, it must be more than 2 s after
-    # the situation, and later after it than the saved failure was. For a file about a collision, it must also be with a
-    # different NPC. For a file without a situation, no other event may end the run. A failed check with a time is
-    # handled if the run continued after that time.
     expect = finding.expect
     if expect.is_crash:  # The process survived, whatever the run shows.
         return True
     # If a different party is responsible for the same event, the policy has changed and not the test.
     if is_same_event(expect, run) and (expect.situation is None or run.responsibility == expect.responsibility):
         return True
-    # A run that was cut short did not drive the rest of the scenario.
+    # A run that another event ended did not drive the rest of the scenario. It still handles a failed check if it
+    # continued after the time of the check.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
+    # A collision that is no failure must be more than 2 s after the situation, and later after it than the failure was.
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
@@ -537,11 +531,11 @@ def handles(finding: Finding, run: Run) -> bool:
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a passing run did not handle the saved situation."""
-    # The result is empty if the run handled it, or if that is unknown.
+    """Return why a passing run did not handle the saved situation; empty if it did, or if that is unknown."""
     expect, hit, ended = finding.expect, run.collision, run.trace.ended
     if ended and not run.trace.users_error_text and run.duration < expect.time:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
+    # If the file is about a collision, a collision with the same NPC is not handled.
     why = missed(expect.situation, run)
     is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
     if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:
@@ -550,13 +544,13 @@ def unhandled(finding: Finding, run: Run) -> str:
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
-    """Return whether a run shows the event of a file within 0.2 s."""
-    # A collision that is a `failure` may be at another time: it is the same with the same vehicle on the same side.
+    """Return whether a run shows the event of a file, at most 0.2 s earlier or later."""
     if failure is not None and failure.kind != expect.failure:
         return False
     now, side = event_of(run, failure), None if run.collision is None else run.collision.side
     is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if expect.check is None:
+        # A collision that is a `failure` can be at another time: it is the same if NPC and side are the same.
         is_then = (is_then and now.cell == expect.cell) or (failure is not None and run.collision is not None)
         return is_then and (run.outcome, now.npc, side) == (expect.outcome, expect.npc, expect.side)
     check = None if failure is None else failure.check
@@ -569,10 +563,8 @@ def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
 
 
 def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
-    """Return how a failure goes beyond the accepted one, or an empty string."""
-    # It must be the same assertion, check or exception, in a run that ends in the same way. A collision must be with
-    # the same NPC and not faster. It may be at another time and in another cell, and another vehicle may be
-    # responsible. Other versions of packages may move vehicles, so then NPC and closing speed are not compared.
+    """Describe how a failure differs from the accepted one, or return an empty string."""
+    # The time, the cell and the responsible vehicle can differ.
     then, now, hit = finding.signature, of_failure(run, failure), run.collision
     if now.failure != then.failure:
         return f"{now.failure} instead of {then.failure}"
@@ -580,7 +572,7 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
         return f"{now.assertion or 'no assertion'!r} fails instead of {then.assertion or 'no assertion'!r}"
     if run.outcome is not finding.expect.outcome:
         return f"the run ends with {run.outcome} instead of {finding.expect.outcome}"
-    if hit is None or not same_versions:
+    if hit is None or not same_versions:  # other versions of packages may move vehicles
         return ""
     if finding.expect.npc is not None and hit.npc != finding.expect.npc:
         return f"a collision with NPC {hit.npc} instead of NPC {finding.expect.npc}"
@@ -590,21 +582,21 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
 
 
 def is_faster(severity: Severity | None, known: float) -> bool:
-    """Return whether a collision is faster than an accepted one."""
+    """Return whether a collision is faster than the acceptance of a collision allows."""
     return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
 
 
 def speed_of(severity: Severity | None) -> float | None:
-    """Return the closing speed of a failure as in a file [m/s]."""
+    """Return the closing speed of a failure, rounded as in a file [m/s], or None."""
     if severity is None or severity.kind != "collision" or severity.value is None:
         return None
     return round(severity.value, 3)
 
 
 def has_time(run: Run, failure: Failure) -> bool:
-    """Return whether a failure occurs at a time."""
-    # Others cannot be evaluated in a run that continues: a check without a time and an assertion on a measure may be
-    # about the complete run, such as a distance, which increases with it.
+    """Return whether a failure occurs at a certain time."""
+    # A check without a time, or an assertion on a measure, may be about the complete run, such as the distance driven.
+    # It cannot be evaluated in a run that continues.
     check = failure.check
     return not of_failure(run, failure).is_property if check is None else check.time is not None
 
@@ -613,14 +605,13 @@ def ending(run: Run) -> str:
     """Describe how a run ended."""
     if run.outcome in HAS_EVENT:
         return f"{run.outcome} at {run.event_time:.1f} s"
-    return f"{run.outcome} {'for' if run.outcome is Outcome.SAFE else 'after'} {run.duration:.1f} s"
+    return f"{run.outcome} {'for' if run.outcome is Outcome.COMPLETED else 'after'} {run.duration:.1f} s"
 
 
 def disagreement(first: Run, again: Run) -> str:
     """Describe how two runs of one scenario differ, or return an empty string."""
-    # They agree if both end with a collision with the same NPC in the same cell against the same side, or both without
-    # one. Times may differ by 0.2 s, because numpy and the C library round some functions differently on some
-    # processors. Without contact, no positions may ever differ by more than half a metre along x or y.
+    # Times can differ by 0.2 s and positions by half a metre along x or y, because numpy and the C library round some
+    # functions differently on some processors.
     if first.outcome != again.outcome:
         return f"{ending(first)}, then {ending(again)}"
     if first.collision is not None and again.collision is not None:

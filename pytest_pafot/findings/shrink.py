@@ -2,8 +2,8 @@
 # After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and MacIver
 # and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that defines "simpler", one gate
 # before each run, and passes that are repeated until none of them helps. Small scenarios are also tried directly,
-# because single steps often do not lead to them. This module does not simulate: `shrink` yields questions about
-# candidates, and its caller sends the answers.
+# because single steps often do not lead to them. This module does not simulate: `shrink` yields requests, and its
+# caller sends the answers.
 
 from __future__ import annotations
 
@@ -40,61 +40,55 @@ from pytest_pafot.support.text import plural
 
 Start = tuple[int, float]  # the ego's lane and speed [m/s] when a gene starts
 
-# The answer to an attempt: the scenario as executed, and the start of each gene, empty if unknown. None if the run does
-# not fail in the same way.
+# The answer to an attempt: the scenario as executed, and the start of each gene (empty if unknown), or None if the run
+# does not fail in the same way.
 Shown = tuple[Scenario, tuple[Start, ...]] | None
 
 
 class Attempt(NamedTuple):
-    """The question whether a candidate fails in the same way."""
-
-    # A run answers it. `best` is the simplest failing scenario so far.
+    """A request to run a candidate, and to report whether it fails in the same way."""
 
     candidate: Scenario
-    best: Scenario
+    best: Scenario  # the simplest failing scenario so far
 
 
 class Likely(NamedTuple):
-    """The question whether a small scenario is likely to fail."""
+    """A request to predict whether a small scenario is likely to fail."""
 
     candidate: Scenario
     best: Scenario
 
 
 class Ahead(NamedTuple):
-    """The next candidates if the earlier ones do not fail."""
-
-    # They can run at the same time. Unless there are `more`, earlier ones that were not attempted will not be. It needs
-    # no answer.
+    """An announcement of the next candidates, which can run in advance. It needs no answer."""
 
     candidates: Sequence[Scenario]
-    more: bool
+    more: bool  # False if earlier candidates that were not attempted will not be needed
 
 
 ResultT = TypeVar("ResultT")
 
-# A part of shrinking that yields questions, is sent their answers, and returns a result.
+# A part of shrinking that yields requests, receives the answers, and returns a result.
 Asking = Generator[Attempt | Likely | Ahead, Any, ResultT]
 
-# The scenarios that a pass tries; None stands for a change that gives no valid scenario.
+# The scenarios that a pass tries, with None for a change that gives no valid scenario.
 Candidates = Iterator[Scenario | None]
 
 Pass = Callable[[Scenario], Candidates]
 
-# The number of NPCs and the number of instructions of a scenario, and its chains.
+# The numbers of NPCs and instructions of a scenario, and its chains.
 Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
 
 # Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module.
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 
-# Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it.
+# Speeds of the instructions in small scenarios [m/s]. If a small scenario fails, the passes try other speeds in it.
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 
-# The largest number of small scenarios of which one pass asks whether they are likely to fail: each answer takes
-# about a millisecond. Any beginning of their list has scenarios of each kind.
+# The largest number of small scenarios for which one pass requests a prediction, which takes about a millisecond.
 MOST_SMALL = 300
 
-# A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes.
+# At most a tenth of the runs is for the first, quick attempts, so that most of a small budget is left for the passes.
 FIRST_PART = 10
 
 # The largest number of simplifications that are tried together with a second simplification.
@@ -121,11 +115,11 @@ class Shrunk:
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
-    """A lack of runs, or of time for more."""
+    """The end of the budget of runs, or of the time."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
-    """Return the key that defines "simpler", compared from the left."""
+    """Return the key that orders scenarios from simple to complex."""
     parts = [chain[start] for chain in scenario.npcs for start, _ in _parts(chain)]
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     # Every number is a non-negative integer, so every chain of simplifications ends.
@@ -135,7 +129,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         len(parts),
         # Staying is simpler than moving, and passing a zone is simpler than holding or stopping.
         sum(map(_moves, scenario.npcs)),
-        # A cell says where an NPC is, whereas the start of an NPC in lanes depends on the other NPCs.
+        # A cell determines the position of an NPC, whereas the start of an NPC in lanes depends on the other NPCs.
         sum(not chain[0].on_grid and not chain[0].crosses for chain in scenario.npcs),
         sum(vehicle != CAR for vehicle in scenario.vehicles),
         # The longest chain decides how long the run takes.
@@ -157,19 +151,18 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
 
 def instructions(scenario: Scenario) -> int:
-    """Return the number of instructions to read."""
-    # Equal instructions in a row are read as one.
+    """Return the number of instructions. Equal ones in a row count once."""
     return sort_key(scenario)[1]
 
 
 def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """Return the size in words: ``2 NPCs, 7 instructions, 60 s``."""
+    """Return the size of a scenario in words: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
     return f"{npcs}, {told}, {round(min(scenario.seconds, longest_run), 1):g} s"
 
 
 def described(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """Return the size and the traffic in words."""
+    """Return the size and the traffic of a scenario in words."""
     return f"{size_of(scenario, longest_run)}, {scenario.traffic} traffic"
 
 
@@ -183,7 +176,7 @@ def shrink(
     ahead: int = 0,
     asks_likely: bool = False,
 ) -> Asking[tuple[Scenario, Shrunk]]:
-    """Return the simplest scenario found that fails in the same way, and statistics.
+    """Search for the simplest scenario that fails in the same way. Return it with statistics.
 
     Args:
         scenario: failing scenario, as executed.
@@ -193,8 +186,8 @@ def shrink(
         ahead: number of candidates to announce before the first is attempted.
         asks_likely: True to attempt small scenarios only if they are :class:`Likely` to fail.
     """
-    # No candidate is attempted twice, and equal answers lead to the same questions in the same order. To end the search
-    # early, throw OutOfBudget into this generator, at each attempt from then on. `ahead` changes nothing in the result.
+    # No candidate is attempted twice. Equal answers lead to the same requests in the same order, and to the same result
+    # for any `ahead`. To end the search early, the caller throws OutOfBudget at the next attempt and at all later ones.
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
     low = min(round(STYLES[scenario.traffic].least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
@@ -207,7 +200,7 @@ def shrink(
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
     deletions: tuple[Pass, ...] = (plainer, longer, *passes(), partial(_later, starts=gate.starts))
     with suppress(OutOfBudget):
-        yield from gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
+        yield from gate.exhausts(_ending)  # first, because a run that does not fail takes as long as its scenario
         yield from gate.exhausts(_alone)
         yield from gate.exhausts(_cars)
     small = partial(
@@ -222,19 +215,19 @@ def shrink(
             is_simpler = False
             for each in deletions:
                 is_simpler |= yield from gate.exhausts(each)
-            # The expensive passes run only when deletions find nothing more.
+            # The expensive passes run only if no deletion helps any more.
             is_simpler = is_simpler or (yield from gate.exhausts(small, asks_likely=asks_likely))
             is_minimal = not (is_simpler or (yield from gate.exhausts(_two_steps)))
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
-        # Only once, even if the passes used up their budget: they do not start again.
+        # Once, even if the passes used up their budget. They do not start again.
         yield from gate.exhausts(_papers_traffic)
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal)
 
 
 @dataclass(slots=True, kw_only=True)
 class _Gate:
-    # The only place that attempts candidates: one must be valid, simpler than the best, and not tried before. Two
+    # All attempts go through this class. A candidate must be valid, simpler than the best, and not tried before. Two
     # scenarios are equal if their canonical texts are equal.
 
     best: Scenario
@@ -257,18 +250,17 @@ class _Gate:
         return True
 
     def exhausts(self, candidates: Pass, *, asks_likely: bool = False) -> Asking[bool]:
-        # Repeats a pass until it finds no simpler scenario. The result is whether it found any.
+        # Repeat a pass until it finds no simpler scenario. The result is True if it found any.
         found, skipped = False, 0
         while True:
             place = yield from self._first(candidates(self.best), skipped, asks_likely=asks_likely)
             if place is None and not skipped:
                 return found
-            # Those before the one that helped just failed, so they are tried again last.
+            # The candidates before the one that helped did not help just now, so they are tried again last.
             found, skipped = found or place is not None, place or 0
 
     def _first(self, candidates: Candidates, skipped: int, *, asks_likely: bool) -> Asking[int | None]:
-        # The index of the first candidate that simplifies. Candidates that follow if the ones before them do not fail
-        # are announced.
+        # Return the index of the first candidate that simplifies, or None. Announce the candidates after it in advance.
         place, read, told = -1, deque[tuple[int, Scenario | None]](), set[Scenario | None]()
         if self.ahead:
             yield Ahead((), more=False)
@@ -317,10 +309,9 @@ class _Gate:
 
 
 def _on_grid(scenario: Scenario) -> Candidates:
-    """Make NPCs in lanes drive on the grid."""
-    # First all NPCs in lanes, then each of them, with the same moves from the cell of its start. An NPC in lanes starts
-    # in a different cell if another NPC is removed, so that it often needs the others. On the grid it needs none of
-    # them. The cells are right only if all eight exist around the ego.
+    # NPCs in lanes drive on the grid: first all of them, then only one, with the same moves from the cell of the start.
+    # An NPC in lanes starts in a different cell if another NPC is removed, so it often needs the others. On the grid it
+    # needs none of them. The cells are right only if all eight exist around the ego.
     free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
     chains = list(scenario.npcs)
     for npc, chain in enumerate(chains):
@@ -336,7 +327,7 @@ def _on_grid(scenario: Scenario) -> Candidates:
 
 
 def _alone(scenario: Scenario) -> Candidates:
-    """Try each NPC without the others."""
+    # Each NPC without the others.
     for npc in range(len(scenario.npcs)) if len(scenario.npcs) > 1 else ():
         yield scenario.of_npcs([npc])
 
@@ -350,7 +341,7 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _cars(scenario: Scenario) -> Candidates:
-    """Make all NPCs cars, then only one NPC at a time."""
+    # All NPCs become cars, then only one of them.
     kinds = scenario.vehicles
     others = [npc for npc, kind in enumerate(kinds) if kind != CAR]
     if others:
@@ -375,11 +366,10 @@ def _shorter(scenario: Scenario) -> Candidates:
 
 
 def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
-    """Start at a later gene."""
-    # The latest gene comes first. The ego starts with its lane and speed at the start of that gene.
+    # The run starts at a later gene, the latest one first, with the ego's lane and speed at the start of that gene.
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
         lasting = [npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene]
-        if not lasting:  # a run lasts longer than its chains where the world says how long runs are
+        if not lasting:  # the world sets the duration of runs, so a run can continue after the last gene
             continue
         left = scenario.of_npcs(lasting)
         npcs = tuple(chain[gene:] for chain in left.npcs)
@@ -387,8 +377,7 @@ def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Ca
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
-    """Give the ego a simpler start."""
-    # The preferred start, then only its lane, then only its speed or a rounder speed.
+    # The ego gets the preferred start, then only its lane, then only its speed or a rounder speed.
     if plain is None:
         return
     yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
@@ -400,9 +389,8 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
 
 
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
-    """Give genes the preferred duration."""
-    # The same instructions at the same times. If no instruction has a duration, it has no effect, so the usual one is
-    # tried.
+    # Genes get the preferred duration, with the same instructions at the same times. If no instruction has a duration,
+    # this has no effect, so the usual value is tried.
     if all(chain[0].crosses for chain in scenario.npcs):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
         return
@@ -413,14 +401,13 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
-    # Long parts come first. After its last gene an NPC keeps its lane and speed.
+    # Remove parts of one chain, long ones first. After its last gene, an NPC keeps its lane and speed.
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _slices(len(chain), len(chain) - 1):
             yield _with_chain(scenario, npc, chain[:start] + chain[end:])
 
 
 def _merged(scenario: Scenario) -> Candidates:
-    """Extend an instruction over others."""
     # The first or the last instruction of a part of a chain replaces the others in that part.
     for npc, chain in enumerate(scenario.npcs):
         parts = _parts(chain)
@@ -431,8 +418,7 @@ def _merged(scenario: Scenario) -> Candidates:
 
 
 def _staying(scenario: Scenario) -> Candidates:
-    """Make an NPC stay."""
-    # An NPC stays in its previous cell or lane from one gene to the end of the chain or of the gene's block.
+    # An NPC stays in its previous cell or lane from one gene to the end of the chain, or of equal genes in a row.
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in _parts(chain):
             before = chain[gene - 1] if gene else None
@@ -444,7 +430,6 @@ def _staying(scenario: Scenario) -> Candidates:
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """Make NPCs pass their zones."""
     # An NPC passes its zone instead of holding at its line or stopping in the zone.
     for npc, instruction in enumerate(scenario.crossings):
         if instruction is not None and instruction.act != "pass":
@@ -452,8 +437,7 @@ def _passing(scenario: Scenario) -> Candidates:
 
 
 def _rounder(scenario: Scenario) -> Candidates:
-    """Round each speed."""
-    # The next multiples of 5 m/s, then of 1 m/s, below and above.
+    # A speed becomes the next multiple of 5 m/s, then of 1 m/s, below and above.
     for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -462,15 +446,14 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 
 def _slower(scenario: Scenario) -> Candidates:
-    """Reduce each speed."""
-    # To 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies.
+    # A speed is reduced to 0, or by 5, 1 or 0.1 m/s. The pass is repeated as long as it simplifies.
     for npc, start, end, speed in _all_blocks(scenario):
         for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].crosses else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
 def _plainer(scenario: Scenario) -> Candidates:
-    """Try simpler slots."""
+    # A slot becomes rounder or nearer to 0.
     for npc, instruction in enumerate(scenario.crossings):
         for simpler in () if instruction is None else instruction.plainer():
             yield _with_chain(scenario, npc, (simpler,))
@@ -482,8 +465,7 @@ def _plain_seed(scenario: Scenario) -> Candidates:
 
 
 def _papers_traffic(scenario: Scenario) -> Candidates:
-    """Replace hostile traffic by the paper's."""
-    # Only hostile traffic, which is the default; the other styles stay.
+    # Hostile traffic, which is the default, becomes the paper's. The other styles stay.
     if scenario.traffic == HOSTILE:
         yield replace(scenario, traffic=PAPERS)
 
@@ -492,17 +474,16 @@ STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, 
 
 
 def passes() -> tuple[Pass, ...]:
-    """Return all passes, first those that shorten runs most."""
+    """Return all passes, starting with those that shorten runs most."""
     return (*STRUCTURE, _plainer, _rounder, _slower, _plain_seed)
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
-    """Try small scenarios."""
-    # One NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts. There
-    # are thousands of them, and very few fail. With `is_limited`, only some are tried that have fewer NPCs or
-    # instructions than the scenario: the passes find those of the same size, too. The NPCs are cars, or all of them are
-    # the first other vehicle of the scenario. They are on the grid, in turn with the scenario's other kinds of
-    # instructions. For a scenario with NPCs that cross, only one NPC that crosses in one of its zones is tried.
+    # Small scenarios have one NPC with one or two instructions, or two NPCs with one each, and the ego's preferred or
+    # present start. There are thousands of them, and very few fail. With `is_limited`, only some are tried, which have
+    # fewer NPCs or instructions than the scenario: the passes also find those of the same size. The NPCs are cars, or
+    # all are the scenario's first vehicle that is no car. They are on the grid, alternating with the scenario's other
+    # kinds of instructions. If NPCs of the scenario cross, only a single NPC that crosses in one of the zones is tried.
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
@@ -530,8 +511,8 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
 
 @lru_cache(maxsize=16)
 def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
-    # Numbers of NPCs and instructions, and chains. The order is mixed, so that any part from the start of the list has
-    # scenarios of each kind. With the most promising ones first, a limited number of runs finds less.
+    # The order is mixed, so that the start of the list, however short, has scenarios of each kind. If the most
+    # promising ones came first, a limited number of runs would find less.
     ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
     twos = [(first, *_lasting(second, length - 1)) for first, second in permutations(genes, 2) if length > 1]
     small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
@@ -540,7 +521,6 @@ def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
-    """Apply two simplifications at once."""
     # Two simplifications together, if neither works alone, starting with the smallest ones.
     firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
@@ -549,21 +529,21 @@ def _two_steps(scenario: Scenario) -> Candidates:
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
-    # [start, end) of slices of length `most`, one after the other, then half as long, and so on down to 1.
+    # [start, end) of consecutive slices of length `most`, then of half that length, and so on down to 1.
     while most > 0:
         yield from ((start, start + most) for start in range(0, length - most + 1, most))
         most //= 2
 
 
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
-    # The NPC, [start, end) and the speed in tenths of m/s of each instruction to read.
+    # The NPC, [start, end) and the speed in tenths of m/s of each part of its chain.
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _parts(chain):
             yield npc, start, end, _tenths(chain[start])
 
 
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
-    # Equal instructions in a row are one part. Each change of lanes is one.
+    # Equal instructions in a row are one part, and each lane change is one.
     starts = [0, *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene]))]
     return list(pairwise([*starts, len(chain)]))
 
@@ -588,7 +568,7 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 def _valid(
     scenario: Scenario, npcs: tuple[Chromosome, ...], vehicles: tuple[VehicleType, ...] | None = None
 ) -> Scenario | None:
-    # None if the chains or vehicles break a rule
+    # None if the chains or vehicles break a rule.
     try:
         return replace(scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles)
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell

@@ -1,4 +1,4 @@
-"""A finding as a session saw it, new or replayed."""
+"""The results of a session for a finding, new or replayed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import plural
 
-# The word in which a session says what happened to a saved scenario.
+# The label that a session gives to a saved scenario.
 Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
-# The word for a new finding, and for one that does not count because the reference fails as often.
+# The label of a new finding, and of one that does not count because the reference fails as often.
 New = Literal["new", "no worse"]
 
-# The titles of the groups of findings in a summary, new ones and those with a label, the most urgent group first.
+# The titles of the groups of findings in a summary, by label or result, the most urgent group first.
 GROUPS: Mapping[str, str] = MappingProxyType({
     "new": "New",
     "no worse": "New, but no worse: the reference fails as often, in other scenarios",
     "error": "Could not be read or run",
     "still failing": "Known, still failing",
-    "drifted": "Drifted: the run differs from the file, so nothing is fixed",
+    "drifted": "Drifted: the run differs from the file, so it does not show a fix",
     "flaky": "Flaky",
     "accepted": "Accepted for now",
     "passes (found in another scenario)": "Pass, but a search found the same failure in another scenario",
@@ -37,52 +37,52 @@ GROUPS: Mapping[str, str] = MappingProxyType({
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """The facts that the runs of a finding in a session showed."""
+    """The results of a finding's runs in a session."""
 
     # `new` for a new finding, `no worse` if it does not count in a comparison; empty for a replay.
     new: New | Literal[""] = ""
     is_error: bool = False  # the file could not be read, or its scenario could not be run
     fails: bool = False  # a run fails, or its process dies
     is_same: bool = False  # it fails as the file states
-    is_later: bool = False  # only the second run failed, which continues after the end of the file
-    is_unsteady: bool = False  # the runs differ, other than by the chance that a rate measures
+    is_later: bool = False  # only the second run failed, which continues after the end of the saved run
+    is_unsteady: bool = False  # the runs differ for another reason than the chance that a rate measures
     is_handled: bool = False  # a run passes, and the situation of the file occurred in it
     # It was run under other versions, in another world than the test's, or with another perception.
     is_elsewhere: bool = False
     is_rare: bool = False  # the failure occurs by chance, and so rarely that ten passing runs show no fix
     is_accepted: bool = False  # the file accepts its failure today
-    beyond: str = ""  # how the failure goes beyond the one that the file would accept, or empty
+    beyond: str = ""  # how the failure differs from the one that the file accepts, or empty
     reference_passes: bool | None = None  # whether the reference passes the same scenario; None without a reference
     against: str = ""  # the reference that a replay is compared with, or empty
     severity: Severity | None = None  # None if it passes, nothing measures it, or there is no run
     before: Severity | None = None  # severity with the reference of a replay, or None
-    sentences: tuple[str, ...] = ()  # who did what in a collision; empty until an item reports it
+    sentences: tuple[str, ...] = ()  # the sentences on a collision; empty until an item reports the finding
     # Number of runs of a complete search of this session that found no such failure, if the replay passes; otherwise 0.
     searched: int = 0
     drawn: int = 0  # number of random scenarios among `searched`
-    elsewhere: str = ""  # id of the finding of this search that fails as the file states, or empty
+    elsewhere: str = ""  # id of a finding of this session's search that fails as the file states, or empty
     rate: FailureRate | None = None  # how often it fails now; None unless the file has a rate
-    note: str = ""  # a text on the time after the file's end, or on the rate
-    # A process died or hung in that time. Then the crash record must stay, or the next session would continue in its
-    # own process, and die.
+    note: str = ""  # a note on the time after the end of the saved run, or on the rate
+    # A process died or hung in that time. The crash record must stay, because without it the next session would run the
+    # scenario in its own process, and die.
     is_lost: bool = False
     # The policy drew random numbers in the run that showed a new finding.
     has_drawn: bool = field(default=False, compare=False, repr=False, metadata=IN_MEMORY)
     # The run that shows the failure, or the first of passing runs; None if the process died or hung.
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
-    # The verdict on that run; None in another process than the item's process.
+    # The verdict on that run; None outside the process of the item.
     verdict: Verdict | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
     def ran(self) -> tuple[Run, Verdict]:
-        """The run and its verdict, or a ValueError if this process has none."""
+        """The run and its verdict. Raises a ValueError if this process has none."""
         if self.run is None or self.verdict is None:
             raise ValueError(f"run: expected a run that finished in this process, received {self!r:.100}")
         return self.run, self.verdict
 
 
 def label(observed: Observed) -> Label | New:
-    """Return the label of a finding, which nothing else decides."""
+    """Return the label of a finding. No other code decides it."""
     if observed.new:
         return observed.new
     if observed.is_error:
@@ -102,7 +102,7 @@ def label(observed: Observed) -> Label | New:
     return "fixed" if observed.searched else "passes"
 
 
-# How the difference starts of a policy that drives the same scenario in different ways.
+# The first words of the difference if a policy drives the same scenario in different ways.
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
 
 
@@ -110,7 +110,7 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 class Alike:
     """The runs of a search with the same failure as a finding."""
 
-    runs: int = 0  # their number; in what is seen of a finding, without the run that it was found in
+    runs: int = 0  # number of these runs; for a finding, without the run that shows it
     number: int = 0  # number of the worst run in the search, from 0
     severity: Severity | None = None  # severity of the worst run; None if nothing measures it
     least: Severity | None = None  # severity of the mildest run, or None
@@ -124,32 +124,31 @@ class Alike:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """A finding as this session saw it."""
+    """A finding with its results in this session."""
 
-    # All reports of a session are written from it. As an event of a search it is repeated with each detail that becomes
-    # known, and only the last event of a finding is valid.
+    # All reports of a session are written from this class. It is also an event of a search, which is repeated with each
+    # new detail, so only the last event of a finding is valid.
 
     finding: Finding  # the content of the file
-    node_id: str  # node id of the item that replays it, in this session or, for a new one, from the next session
-    test: str = ""  # node id of the test of a replay, as it is in this session
+    node_id: str  # node id of the item that replays it in this session, or a new finding from the next session
+    test: str = ""  # node id that the test of a replay has in this session
     observed: Observed = field(default_factory=Observed)  # the facts of its runs, which determine the label
     headline: str = ""  # how the run failed; empty if it passes
     path: str = ""  # path of the file; empty if a new finding has none
-    # Why a new finding has no file, an incomplete one, or does not count; or what differs from a replay's file.
+    # Why a new finding does not count, or why its file is missing or incomplete; for a replay, how it differs from the
+    # file.
     detail: str = ""
     unshrunk: str = ""  # why a new finding is not yet fully shrunk, or empty
-    # The last decision that could have avoided it; None if it is unknown or was not examined.
+    # The last decision that could have avoided the failure; None if it is unknown or was not examined.
     moment: Moment | None = None
     alike: Alike = field(default_factory=Alike)  # the runs of the search with the same failure as a new finding
 
     @property
     def id(self) -> str:
-        """The id of the finding."""
         return self.finding.id
 
     @property
     def run(self) -> Run | None:
-        """The run of the scenario, or None if this process has none."""
         return self.observed.run
 
     @property
@@ -161,13 +160,11 @@ class Seen:
 
     @property
     def severity(self) -> Severity | None:
-        """The severity of the failure, or None without a measure."""
         return self.observed.severity
 
     @property
     def rank(self) -> tuple[float | str, ...]:
-        """The key that sorts findings, the worst first."""
-        # The worst come first, then those with the most runs.
+        """The sort key of findings: the worst first, then those with the most runs."""
         return *Severity.worst_first(self.responsible, self.severity), -self.alike.runs, self.node_id
 
     @property
@@ -182,37 +179,34 @@ class Seen:
 
     @property
     def is_timed(self) -> bool:
-        """True if the failure depends on wall-clock time."""
         return self.finding.expect.outcome is Outcome.HANG
 
     @property
     def is_as_saved(self) -> bool:
-        """True if the run failed as the file states."""
-        # For a new finding, or a replay with the same failure.
+        """True for a new finding, and for a replay that failed as the file states."""
         return bool(self.observed.new) or self.observed.is_same
 
     @property
     def is_firm(self) -> bool:
-        """True if the scenario gives the same run each time."""
-        # The scenario is expected to give the same run each time.
+        """True if the scenario is expected to give the same run each time."""
         return not (self.is_flaky or self.is_timed or self.finding.expect.is_crash)
 
     @property
     def is_random(self) -> bool:
         """True if the policy draws random numbers."""
-        # If a finding is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
+        # If a finding is flaky for any other reason, equal seeds give equal runs here, so no rate can be measured.
         is_other = (self.finding.flaky or "").startswith((NOT_REPEATED, ENDED_OTHERWISE))
         has_drawn = is_other or (self.observed.has_drawn and not self.is_flaky)
         return (self.finding.rate is not None or has_drawn) and not (self.is_timed or self.finding.expect.is_crash)
 
     @property
     def label(self) -> Label | New:
-        """The label of a replay, ``new``, or ``no worse``."""
+        """The label of a replay, or ``new`` or ``no worse`` for a new finding."""
         return label(self.observed)
 
     @property
     def result(self) -> str:
-        """The label in the words of summaries, which report only what was observed."""
+        """The label as in summaries, which report only facts: not ``fixed``, but ``passes (not found again)``."""
         is_elsewhere = self.label == "still failing" and not self.observed.fails
         words = "found in another scenario" if is_elsewhere else "not found again" * (self.label == "fixed")
         return f"passes ({words})" if words else str(self.label)
@@ -229,14 +223,13 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """The result of the search for the failure of a passing replay, or an empty string."""
-        # Otherwise in how many runs it did not. Some of these runs are random.
+        """The result of this session's search for the failure of a passing replay, or an empty string."""
         searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
         if elsewhere or not searched:
             return elsewhere and f"{elsewhere} fails in the same way"
         if not drawn:
             return f"no such failure in {plural(searched, 'run')}"
-        others = f"; nor in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
+        others = f"; also none in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
         return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
 
     @property
@@ -259,7 +252,7 @@ class Seen:
 
     @property
     def remark(self) -> str:
-        """Remarks on the finding, such as that it is flaky."""
+        """Notes on the finding, such as its failure rate."""
         flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))

@@ -24,7 +24,7 @@ from pytest_pafot.oracle.run import Run
 # with policies that avoid the situation; docs/explanation/findings.md explains what they mean.
 
 BEFORE = 2.0  # the situation of a failure without a collision is taken this time before the failure [s]
-# All runs start alike, so a situation comes up in these first seconds [s] only if the saved situation was in them.
+# All runs start in the same way, so in these first seconds [s], a situation counts only if the saved one was there.
 START = 4.0
 # An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane.
 HALF_LANE = 0.5
@@ -33,7 +33,7 @@ PLACE = 5.0
 PLACE_SHARE = 0.25
 # Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s].
 SPEED = 3.0
-# The NPC's own speed may differ by up to 3 m/s instead, if the ego's speed differs by up to this [m/s].
+# They are also near if the NPC's own speed differs by up to 3 m/s, and the ego's speed by up to this [m/s].
 EGO_SPEED = 9.0
 REACH = 20.0
 # A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther
@@ -41,14 +41,14 @@ REACH = 20.0
 REACH_FACTOR = 2.0
 # A leader must be slower than the ego by this proportion of the saved difference, or by that difference minus 3 m/s.
 SLOWER_SHARE = 0.6
-# A leader is compared with the ego's highest speed in these last seconds [s]: an ego that responds also slows down.
+# A leader is compared with the ego's highest speed in the last seconds [s], because an ego that responds slows down.
 ANSWER = 10.0
 ARRIVAL = 1.0
 # Two times to a zone are near each other if they differ by up to 1 s, or by half of the saved time.
 ARRIVAL_SHARE = 0.5
-# A time to a zone uses the highest speed of these last seconds [s], because an ego that gives way slows down.
+# A time to a zone assumes the highest speed of the last seconds [s], because an ego that gives way slows down.
 APPROACH = 3.0
-# The lowest speed that is assumed for a vehicle's time to a zone [m/s]; a standing vehicle would never arrive.
+# A time to a zone assumes at least this speed [m/s], because a stationary vehicle would never arrive.
 LEAST_SPEED = 0.1
 
 
@@ -77,7 +77,7 @@ class Situation:
 
     npc: int  # index of the NPC in the scenario
     time: float  # time of the moment [s]
-    gap: float  # gap between the bumpers along the road [m]; negative by the overlap if they are side by side
+    gap: float  # gap between the bumpers along the road [m]; minus the overlap if they are side by side
     place: Literal["ahead", "behind"]  # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
     lanes_to_right: int  # number of lanes from the ego's lane to the NPC's lane; negative to the left
     ego_speed: float  # along the road [m/s]
@@ -94,7 +94,7 @@ class Situation:
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
         tick = end if mistake is None else mistake
         lanes = _lanes_between(trace, frame, npc)
-        # An ego that brakes for nothing has decided its speed itself; so its speed before that counts.
+        # An ego that brakes for nothing has chosen its speed, so its speed before the braking counts.
         is_needless = mistake is not None and run.attribution.fault in ("braked-for-nothing", "stopped-for-nothing")
         is_steady = braking(trace) < BRAKES if is_needless else np.abs(frame.drift[0]) < DRIFTING
         steady = np.flatnonzero(is_steady[: tick + 1])
@@ -122,9 +122,8 @@ class Situation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick."""
-        # Along the road, in lanes and in speeds, in units of the tolerance, shape [3, ticks + 1]. The situation
-        # occurred if all three are at most 1.
+        # The distances of a run from the situation at each tick: along the road, in lanes and in speeds, in units of
+        # the tolerance, shape [3, ticks + 1]. The situation occurs at a tick if all three are at most 1.
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)  # between the centres
@@ -194,8 +193,7 @@ class ZoneSituation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        # In the two times and the NPC's speed, in units of the tolerance, shape [3, ticks + 1]. The situation occurred
-        # if all three are at most 1.
+        # As for `Situation.distances`, but in the two times and the NPC's speed.
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
         ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
         pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
@@ -214,7 +212,7 @@ class ZoneSituation:
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
-    # One row for the ego and one for the NPC [s].
+    # The times of the ego and of the NPC [s].
     zone, on_way = trace.zones[npc], trace.on_way
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
@@ -230,7 +228,7 @@ def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
 
 
 def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> float | None:
-    """Return how long a run continued after a situation first occurred [s]."""
+    """Return the time for which a run continued after a situation first occurred [s], or None."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
@@ -238,7 +236,7 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
 
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
-    """Return a sentence that a situation did not occur, or an empty string."""
+    """Return a sentence if a situation did not occur in a run, otherwise an empty string."""
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)

@@ -28,10 +28,10 @@ _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
-# The name of the failure of a run whose process died, so that no exception names it.
+# The name of a failure in which the process died, so that there is no exception with a name.
 PROCESS_CRASH = "ProcessCrash"
 
-# The name of the failure of a check; its assertion is the name of the check.
+# The name of a failure of a check. Its assertion is the name of the check.
 CHECK_FAILED = CheckFailed.__name__
 
 # Attributes of a run that concern the collision: an assertion that uses one is about the collision.
@@ -39,7 +39,7 @@ _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "sentences", "explain"}
 )  # fmt: skip
 
-# Faults that are about a zone; the place of the contact inside the zone does not matter.
+# Faults at a zone. The position of the contact inside the zone does not matter.
 AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
 
 # The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into few groups.
@@ -59,7 +59,7 @@ class Failure:
     kind: str  # name of the exception class
     message: str = ""  # message of the exception
     assertion: str = ""  # source text of the failing assertion; empty if it is unknown
-    traceback: str = ""  # traceback worth saving in the file, such as of an ADS that raised; otherwise empty
+    traceback: str = ""  # traceback to save in the file, for example of an ADS that raised, or empty
     check: Check | None = None  # the failed check, with its name also in `assertion`; None if something else failed
 
 
@@ -76,7 +76,7 @@ class Signature:
     failure: str  # name of the exception class
     assertion: str  # the normalised assertion, without file, line, numbers and addresses
     outcome: Outcome  # how the run ended; `safe` for a property
-    responsibility: Responsibility  # `ego` if it is responsible for the collision, alone or with the NPC; `npc`; `none`
+    responsibility: Responsibility  # `ego` if the ego is responsible, alone or with the NPC; otherwise `npc` or `none`
     mistake: Mistake | None = None  # what the ego did wrong; None if it is not responsible for a collision
     # The rule by which the ego is responsible, only for the slug.
     fault: Fault | None = field(default=None, compare=False, repr=False)
@@ -87,22 +87,21 @@ class Signature:
     # Shortly before the collision; None without a collision, or if there is a fault.
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None  # like `npc_manoeuvre`
-    # In a search, the id of the accepted file of the same failure, if this collision is faster than all that were known
-    # when it was accepted; otherwise None.
+    # In a search, the id of the accepted file of the same failure, if this collision is faster than all collisions that
+    # were known at the acceptance; otherwise None.
     worse_than: str | None = None
 
     @classmethod
     def of(cls, **facts: Any) -> Self:
-        # Without the facts that do not distinguish failures.
+        # Keep only the facts that distinguish failures.
         told = cls(**facts)
         ended = cls(
             failure=told.failure, assertion=told.assertion, outcome=told.outcome, responsibility=told.responsibility
         )
-        if told.is_property:  # it is the same however its run went on
-            return replace(ended, outcome=Outcome.SAFE, responsibility="none")
+        if told.is_property:  # it is the same, however the run continued
+            return replace(ended, outcome=Outcome.COMPLETED, responsibility="none")
         if told.fault is not None:
-            # At a zone the origin of the NPC says which vehicle did not give way; elsewhere the rule alone gives the
-            # mistake.
+            # At a zone, the mistake of an ego that did not give way depends on the origin of the NPC.
             given = None if told.zone is None else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
             known = given if told.fault == "did-not-give-way" else BY_FAULT.get(told.fault)
             at_zone = told.zone if told.fault in AT_ZONES else None
@@ -112,34 +111,30 @@ class Signature:
 
     @property
     def is_property(self) -> bool:
-        """True if the failure is not about how the run ended."""
-        # A failed check, or an assertion on a measure, is not about how the run ended. An assertion that uses no
-        # attribute of a run, or of which only the message is known, counts as one on the end of the run.
+        """True for a failed check and for an assertion on a measure, which are not about the end of the run."""
         if self.failure == CHECK_FAILED:
             return True
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return False
+        # An assertion that uses no attribute of a run, or that is known only by its message, is on the end of the run.
         named, measures = _named(self.assertion)
         return bool(measures) and not named & _OF_COLLISIONS
 
     @property
     def told(self) -> dict[str, str]:
-        """All compared fields in words, for programs."""
-        # For programs; without fields that are None.
+        """The compared fields that are not None, as strings."""
         compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
         words = {name: value.label if isinstance(value, Cell) else value for name, value in compared.items()}
         return {name: str(value) for name, value in words.items() if value is not None}
 
     @property
     def text(self) -> str:
-        """The compared fields as JSON."""
-        # JSON in one line, for reports that have only texts
+        """The compared fields as one line of JSON."""
         return json.dumps(self.told)
 
     @property
     def slug(self) -> str:
-        """A short name for files, such as ``rear-6``."""
-        # Two different signatures may have the same slug, and two equal signatures different slugs.
+        """A short name for files, such as ``rear-6``. It is not unique."""
         if self.fault is not None:
             is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
             whence = "" if self.zone is None else f"-{self.zone.rpartition(' ')[2]}"
@@ -167,11 +162,10 @@ def zone_in_words(zone: Zone) -> str:
 
 
 def normalised(assertion: str, message: str = "") -> str:
-    """Reduce a failing assertion to a text that does not vary."""
-    # From run to run, and with unrelated edits, the text must stay. Source text is reduced to the tested expression,
-    # without message, comments, line breaks and needless brackets, and with `N` for each number. Any other text is
-    # reduced to its first line, or to the first line of `message`, with `N` for numbers, `ADDRESS` for addresses and
-    # `PATH` for files. The result has at most 200 characters.
+    """Reduce a failing assertion to a string that stays the same from run to run, and with unrelated edits."""
+    # Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
+    # with `N` for each number. Any other string is reduced to its first line, or to the first line of `message`, with
+    # `N` for numbers, `ADDRESS` for addresses and `PATH` for files. The result has at most 200 characters.
     return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
 
 
@@ -188,8 +182,8 @@ class _Numberless(ast.NodeTransformer):
 
 @lru_cache(maxsize=64)
 def _named(assertion: str) -> tuple[set[str], set[str]]:
-    # In `run.ego.jerk.max()` all three are attributes, and `ego` is an attribute of the plain name `run`. The helper
-    # call `helpers.is_fine(run)` adds nothing to the second set.
+    # The first set has all attributes: `ego`, `jerk` and `max` in `run.ego.jerk.max()`. The second set has those of
+    # plain names: `ego` in this case, but none for the helper call `helpers.is_fine(run)`.
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -224,7 +218,7 @@ def _kebab(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text)[:MAX_SLUG].strip("-")
 
 
-# The kinds of verdicts on runs in which the test passes, or of which ``blame`` excludes the failure.
+# The kinds of verdicts that count as a pass: the test passes, or ``blame`` excludes the failure.
 PASSES = ("passed", "npc")
 
 
@@ -237,9 +231,9 @@ class Severity:
     # by their margins, which have no unit.
 
     WORSE_BY: ClassVar[Mapping[str, float]] = MappingProxyType({"collision": 0.1, "check": 0.01})
-    kind: Literal["collision", "check"]  # `collision` or `check`
+    kind: Literal["collision", "check"]
     # The closing speed at the impact, the magnitude of the difference of the velocities [m/s]; for a check, the amount
-    # by which its bound is broken [unit]. None, the worst, if a check measured no finite number.
+    # by which its bound is broken [unit]. None, the worst value, if a check measured no finite number.
     value: float | None
     unit: str = ""  # unit of `value`
     # Negative margin of a check in units of its scale; None for a collision, or if `value` is None.
@@ -248,7 +242,7 @@ class Severity:
 
     @property
     def figure(self) -> str:
-        """The value in short, without the unit."""
+        """The value with few digits and without the unit."""
         if self.value is None:
             return "no finite number"
         return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
@@ -263,7 +257,7 @@ class Severity:
 
     @property
     def figures(self) -> tuple[int, float, float]:
-        # In the order of comparison; larger is worse.
+        # The numbers that are compared, in order. Larger is worse.
         value = math.inf if self.value is None else self.value
         if self.kind == "collision":
             return 2, value, 0.0
@@ -271,9 +265,9 @@ class Severity:
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-        """Return a sort key for findings, the worst first."""
-        # Collisions for which the ego is responsible come first. Each group is sorted from the worst, and failures
-        # without a measure are last. Callers put more important criteria before this key, and tie-breakers after it.
+        """Return a sort key: first collisions for which the ego is responsible, each group from the worst."""
+        # Failures without a measure are last. Callers put more important criteria before this key, and tie-breakers
+        # after it.
         if severity is None:
             return 1, 0, 0.0, 0.0
         return not severity.is_fault(responsible), *(-each for each in severity.figures)
@@ -283,9 +277,9 @@ class Severity:
 
 
 def severity_of(run: Run, failure: Failure) -> Severity | None:
-    """Return how bad a failure is, or None without a measure."""
-    # A failed check is measured against its bound, whatever else happened in the run. An assertion that is not about
-    # the collision has no measure, because its numbers are not known. An ADS that raises or hangs has none either.
+    """Return the severity of a failure, or None if it cannot be measured."""
+    # A failed check is measured against its bound, even if there was a collision. An assertion that is not about the
+    # collision has no measure, because its numbers are not known. An ADS that raises or hangs has none either.
     if failure.check is not None:
         return _of_check(failure.check)
     text = normalised(failure.assertion, failure.message)
@@ -327,26 +321,25 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
 class Verdict:
     """The verdict of the test function, the oracle, on a run."""
 
-    # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
-    # responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either. ``invalid``
-    # is a run that shows nothing about the ego, such as a crash between NPCs, or of the reference in the scenario.
+    # ``failed`` is a finding. ``rejected`` and ``skipped`` do not count. ``npc`` is a collision for which
+    # an NPC is responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either.
+    # ``invalid`` is a run that shows nothing about the ego, for example because two NPCs collided, or because the run
+    # of the reference is invalid.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
     checks: tuple[Check, ...] = ()  # the checks that the function made, in order, up to one that failed
     is_timed: bool = False  # True if it depends on wall-clock time
-    is_ads: bool = False  # True if the ADS itself failed, whatever the function asserts
+    is_ads: bool = False  # True if the ADS itself failed, regardless of what the function asserts
     severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
     reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
 
     @property
     def failed(self) -> bool:
-        """True if the run is a failure that counts."""
         return self.kind == "failed"
 
     @property
     def is_check(self) -> bool:
-        """True if a check with a bound is broken."""
         return self.failure is not None and self.failure.kind == CHECK_FAILED
 
     @property
@@ -373,7 +366,7 @@ class Verdict:
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:
-        """Return the verdict compared with the verdict on the reference."""
-        # The failure counts only if the reference passes. If the reference's run is invalid, that is not known.
+        """Return this verdict, compared with the verdict on the reference."""
+        # It counts only if the reference passes. If the run of the reference is invalid, that is unknown.
         without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
         return replace(self, kind="failed" if reference.passes else without, reference=reference)

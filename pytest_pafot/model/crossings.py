@@ -1,7 +1,7 @@
 """The paths of crossing traffic and their zones."""
 # A position is the distance of a vehicle's centre along its path [m]. A stretch `(enters, leaves)` of a path is the
-# part on which the vehicle's box can touch the box of a vehicle on the other path. So a vehicle that waits before
-# `enters` blocks no vehicle.
+# part on which the vehicle's box can touch the box of a vehicle on the other path. A vehicle that waits before `enters`
+# therefore blocks no other vehicle.
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pytest_pafot.model.instructions import CrossingInstruction
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
 
-# How an NPC's path meets the ego's path. Crossing: it leads across the ego's. Oncoming: the NPC comes from ahead, and
-# it or the ego turns across the other's path. Merging: both paths continue in the same lane.
+# The kinds of junctions of an NPC's path and the ego's path. Crossing: one path leads across the other. Oncoming: the
+# NPC comes from ahead, and it or the ego turns across the other path. Merging: both paths continue in the same lane.
 Kind = Literal["crossing", "oncoming", "merging"]
 # The direction that a vehicle comes from, as seen by the ego when the ego drives up to the zone.
 Origin = Literal["left", "right", "ahead", "behind"]
@@ -37,7 +37,7 @@ WAITING = ("hold", "late")  # the acts of NPCs that stop at the line before the 
 # The planned braking of an NPC for its line [m/s^2], and the time that creeping up to the line adds to the braking
 # time [s].
 EASY_BRAKING, CREEPING = 2.5, 2.0
-EARLIER = 1.0  # the time for which an NPC that starts late stands at the line before it sets off [s]
+EARLIER = 1.0  # the time for which an NPC that starts late waits at the line before it sets off [s]
 SETTING_OFF = 2.0  # the acceleration with which a waiting vehicle is expected to set off [m/s^2]
 
 
@@ -116,20 +116,19 @@ class CrossingVehicle(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Way:
-    """The path of an NPC that meets the ego's path."""
+    """A path for NPCs that meets the ego's path."""
 
-    zone: Zone  # the first in which the two paths meet
-    speeds: FloatArray  # the highest that limits and curves allow, at every half metre from the entry [m/s]
+    zone: Zone  # the first zone in which the two paths meet
+    speeds: FloatArray  # the highest speeds that limits and curves allow, every half metre from the entry [m/s]
     sharpest: float = 0.0  # largest curvature [1/m]
 
     @property
     def length(self) -> float:
         return (len(self.speeds) - 1) * STEP
 
-    @lru_cache(maxsize=2048)  # noqa: B019  (called hundreds of times a scenario; a world retains its ways anyway)
+    @lru_cache(maxsize=2048)  # noqa: B019  (called hundreds of times per scenario; a world keeps its ways anyway)
     def times(self, speed: float) -> FloatArray:
-        """Return the time to each point [s]."""
-        # The NPC drives at `speed`, or slower in curves.
+        """Return the time from the entry to each point [s]."""
         driven = np.minimum(self.speeds, speed)
         steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
         times: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
@@ -145,7 +144,7 @@ class Way:
         return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
 
     def place_at(self, time: float, speed: float) -> float:
-        # Before the entry, at the speed itself.
+        # Before the entry, the NPC drives at the speed itself.
         times = self.times(speed)
         return time * speed if time < 0 else float(np.interp(time, times, np.arange(len(times)) * STEP))
 
@@ -167,7 +166,7 @@ class Crossings:
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
-        # The time [s] at which an NPC should enter its zone, given the times (enters, leaves) of the ego.
+        # The time [s] at which an NPC should enter its zone if the ego is there from ego[0] to ego[1].
         way = self.ways[instruction.zone]
         enters, leaves = way.zone.npc
         crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
@@ -183,10 +182,9 @@ class Crossings:
         return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
 
     def start(self, instruction: CrossingInstruction) -> float:
-        """Return where an NPC has to start to keep its slot [m]."""
-        # A negative result means that the path is too short. A result after the start of the zone means that the slot
-        # is too early. An NPC with the act "hold" reaches its line when it would otherwise enter the zone. With "late",
-        # it reaches the line earlier, if it can brake for it.
+        """Return the position at which an NPC has to start to keep its slot [m]."""
+        # An NPC with the act "hold" reaches its line when it would otherwise enter the zone. With "late", it reaches
+        # the line earlier, if it can brake for it.
         way = self.ways[instruction.zone]
         if instruction.act not in WAITING:
             return self._start_of_passing(instruction)
@@ -205,12 +203,10 @@ class Crossings:
         return way.place_at(arrives - self.planned_entry(instruction), instruction.speed)
 
     def fits(self, instruction: CrossingInstruction) -> bool:
-        """Return whether an NPC can keep its slot."""
-        # Its start must be on the path and before the zone. An NPC that waits at the line also needs room to stop
-        # there.
         way = self.ways.get(instruction.zone)
         if way is None:
             return False
+        # The start must be on the path and before the zone. An NPC that waits at the line needs room to stop there.
         room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if instruction.act in WAITING else 0.0
         return self.start(instruction) >= 0 and self._start_of_passing(instruction) < way.zone.npc[0] - room
 
@@ -228,7 +224,7 @@ class Crossings:
         )
         if instruction.act == "pass" or stretch[1] <= line:
             return first, last
-        return first, math.inf  # it stands at the line, or in the zone, for an unknown time
+        return first, math.inf  # it waits at the line, or stops in the zone, for an unknown time
 
     def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
         # Two NPCs clash if they would meet, or overtake each other in one lane.
@@ -252,7 +248,7 @@ class Crossings:
         return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
     def _common_lane(self, first: str, second: str, mine: Stretch, theirs: Stretch) -> tuple[Stretch, float] | None:
-        # Where on the first path both paths share a lane up to their zones, and an offset [m].
+        # The stretch of the first path on which both paths share a lane up to their zones, and an offset [m], or None.
         # `mine` and `theirs` are the stretches on which the two paths meet. The offset is how much farther the same
         # position is along the second path.
         zones, farther = (self.ways[first].zone.npc, self.ways[second].zone.npc), theirs[1] - mine[1]
@@ -262,10 +258,10 @@ class Crossings:
     def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float) -> bool:
         # Two NPCs in a shared lane must not start too close together, and must not overtake.
         # The same position is `farther` along the second NPC's path. Only the two ends of the lane are checked: the
-        # slower NPC needs longer for each part of it, so the gap in time is extreme at an end.
+        # slower NPC takes longer for each part of the lane, so the gap in time is smallest at one of the ends.
         starts = self.start(first), self.start(second) - farther
         if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:
-            return True  # if one waits at its line, the times say nothing about a start beyond it
+            return True  # the times do not show this if an NPC waits at its line and the other starts after the line
         since = max(lane[0], *starts)
         order = set()
         for place in (since, max(since, lane[1])):

@@ -51,13 +51,13 @@ class Cell(IntEnum):
         self.row, self.column = _ROWS[number - 1], _COLUMNS[number - 1]
 
     def __repr__(self) -> str:
-        return f"Cell.{self.name}"  # an expression that makes it, unlike an enumeration's own
+        return f"Cell.{self.name}"  # can be pasted into code, unlike the repr of other enumerations
 
-    __hash__ = int.__hash__  # the hash of the equal number; an enumeration's is several times as slow
+    __hash__ = int.__hash__  # several times as fast as the hash of other enumerations
 
     @property
     def neighbours(self) -> tuple[Cell, Cell]:
-        # The anticlockwise one first.
+        # The anticlockwise neighbour is first.
         return _NEIGHBOURS[self - 1]
 
     @property
@@ -73,16 +73,16 @@ ALL_CELLS = frozenset(Cell)
 
 
 def is_adjacent(a: Cell, b: Cell) -> bool:
-    """Return whether ``b`` may follow ``a``."""
+    """Return whether ``b`` may follow ``a`` in a chain."""
     return (b - a + 1) % 8 <= 2
 
 
-# All pairs of cells of which the second may follow the first; a set checks a hundred genes faster than calls do.
+# All pairs of cells in which the second may follow the first. With a set, checking a hundred genes is faster.
 _STEPS = frozenset((a, b) for a in Cell for b in Cell if is_adjacent(a, b))
 
 
 def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> float:
-    """Return the longitudinal distance between centres [m]."""
+    """Return the longitudinal distance from the ego to a cell [m]."""
     # The paper's cell is as long as the ego (section 2.1). A vehicle in cell 2 or 6 would then be bumper to bumper with
     # the ego, so reaching the cell would always be a collision. Therefore `clearance` [m] is added ahead and behind; 0
     # gives the paper's grid.
@@ -90,7 +90,7 @@ def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> floa
 
 
 def cell_at(longitudinal: float, lateral: float, ego_length: float, lane_width: float) -> Cell | None:
-    """Return the cell with a point, or None for the ego's own."""
+    """Return the cell that contains a point, or None for the ego's own cell."""
     # The outer rows and columns have no outer limits: a vehicle 80 m ahead in the ego's lane is in cell 2.
     return _CELLS.get((_third(longitudinal, ego_length / 2), _third(lateral, lane_width / 2)))
 
@@ -100,7 +100,7 @@ def _third(value: float, half: float) -> int:
 
 
 def toss(seed: int, npc: int, gene: int) -> bool:
-    """Toss a fair coin for three numbers (splitmix64)."""
+    """Toss a fair coin, which depends only on the three numbers (splitmix64)."""
     mask = 0xFFFFFFFFFFFFFFFF
     z = (seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
@@ -120,12 +120,14 @@ def repair_gene(
     # `existing` are the cells with a lane that exists now, and `previous` is None in the first gene. A coin is True to
     # try the clockwise neighbour first. With `skipping`, for roads with few cells, a step skips cells that do not
     # exist.
+    #
     # A requested cell is executed if it is the previous cell or its ring neighbour, its lane exists, and no NPC with a
     # smaller index occupies it. Otherwise the NPC gets one of the two neighbours of its previous cell by its coin, or
     # the one that is free. If neither is free, it stays. In the first gene it gets the free cell nearest to the
     # requested one. The first complete assignment in order of preference is used, so the cells are distinct and the
-    # result is a fixed point. One always exists: all NPCs stay.
-    # Most genes can be driven as requested: this is the fixed point, and saves the search for an assignment.
+    # result is a fixed point. An assignment always exists: all NPCs stay.
+    #
+    # Most genes can be executed as requested. This check saves the search for an assignment.
     wanted = set(requested)
     are_free = len(wanted) == len(requested) and wanted.issubset(existing)
     if are_free and (previous is None or _STEPS.issuperset(zip(previous, requested, strict=True))):
@@ -138,7 +140,7 @@ def repair_gene(
             next_cells(before, cell, existing, coin)
             for before, cell, coin in zip(previous, requested, coins, strict=True)
         ]
-    # The first complete assignment in order of preference, in which an NPC with a smaller index chooses first.
+    # NPCs with a smaller index choose first.
     assignment = _assigned(preferences, ())
     if assignment is None:
         raise ValueError(
@@ -166,7 +168,7 @@ def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Ce
 
 
 def are_valid(chains: Sequence[Sequence[Cell]]) -> bool:
-    """Return whether chains need no repair."""
+    """Return whether chains are valid without repair."""
     if not all(_STEPS.issuperset(pairwise(row)) for row in chains):
         return False
     held = [cell + 8 * gene for row in chains for gene, cell in enumerate(row)]
@@ -195,7 +197,7 @@ def _wanted_next(previous: Cell, requested: Cell, clockwise_first: bool) -> tupl
 def _next_existing_cells(
     previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
 ) -> list[Cell]:
-    # Separate from _next_cells for speed: every search on a straight road calls that for each gene that it repairs.
+    # Separate from _next_cells, which must be fast: a search on a straight road calls it for each gene that it repairs.
     ways = {}
     for step in (-1, 1):
         beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
@@ -222,7 +224,7 @@ def _assigned(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) ->
 # Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory.
 SPEED_STEPS_PER_MPS = 10
 
-# The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit.
+# The highest speed that a scenario can give to a vehicle [m/s]. Each world has a much lower limit.
 MAX_SPEED = 1000.0
 
 CODES_PER_TARGET = 10_000  # the distance between the codes of two targets, which is more than any speed
@@ -233,7 +235,7 @@ class ScenarioError(FieldError):
 
 
 class Choices(NamedTuple):
-    """The target speeds that a search may choose."""
+    """The range of a search's target speeds, in tenths of m/s."""
 
     low: int
     top: int
@@ -245,7 +247,7 @@ class Choices(NamedTuple):
 class Instruction(Pasteable, ABC):
     """An instruction for an NPC."""
 
-    # The defaults are those of most kinds.
+    # The defaults suit most kinds.
 
     __slots__ = ()
 
@@ -257,7 +259,8 @@ class Instruction(Pasteable, ABC):
     goal_kind: ClassVar[str]
     speed: float
     cell: Cell
-    # Text and files.
+
+    # Strings and files.
 
     @property
     @abstractmethod
@@ -285,12 +288,12 @@ class Instruction(Pasteable, ABC):
 
     @abstractmethod
     def plain(self) -> list[Any]:
-        """Return strings and numbers, which :meth:`read` reads."""
+        """Return the instruction as strings and numbers, which :meth:`read` reads."""
 
     @classmethod
     @abstractmethod
     def read(cls, plain: Sequence[Any]) -> Self:
-        """Return the inverse of :meth:`plain`."""
+        """Return the instruction that :meth:`plain` described."""
 
     def in_file(self) -> dict[str, Any]:
         given = [(each, getattr(self, each.name)) for each in fields(cast("Any", self))]
@@ -317,7 +320,7 @@ class Instruction(Pasteable, ABC):
         return self.with_speed(choices.any_speed(rng))
 
     def mixed(self, other: Instruction, rng: Generator) -> tuple[Instruction, Instruction] | None:
-        # The children of a crossover; None to swap the NPCs as a whole.
+        # The children of a crossover; None to swap the complete chains.
         return None
 
     # Shrinking.
@@ -328,16 +331,16 @@ class Instruction(Pasteable, ABC):
 
     @property
     def roughness(self) -> int:
-        # Larger if fewer values other than the speed are round.
+        # The number that shrinking reduces by rounding values other than the speed.
         return 0
 
     @property
     def weight(self) -> int:
-        # A number that shrinking reduces when all else is equal: the speed in tenths.
+        # The number that shrinking reduces if all else is equal: the speed in tenths of m/s.
         return round(self.speed * SPEED_STEPS_PER_MPS)
 
     def staying(self, before: Any) -> Instruction | None:
-        # The instruction to stay as `before`; None if this kind has none.
+        # The instruction to stay where `before` ended; None if this kind has none.
         return None
 
     def on_ring(self, cell: Cell) -> Any:
@@ -346,24 +349,24 @@ class Instruction(Pasteable, ABC):
 
     @classmethod
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[Instruction]:
-        # The instructions of small scenarios for a finding with instructions `found`.
+        # The instructions for small scenarios, if the finding has the instructions `found`.
         return ()
 
-    # What it asks for, and reports.
+    # Reports.
 
     def words(self, apart: float) -> str:
-        # `apart` is the number of lanes to the right of the ego at the start; NaN if unknown
+        # `apart` is the number of lanes from the ego to the NPC at the start, positive to the right; NaN if unknown.
         return self.goal
 
     def row(self, apart: float, end: str, *, names_side: bool) -> str:
         return f"{self.words(apart)} {self.speed:.1f} m/s {end}"
 
     def lasting(self, later: Any) -> int | None:
-        # The number of lanes to the right of a change that `later` continues; None if it does not.
+        # The number of lanes by which this lane change leads to the right; None unless `later` continues it.
         return None
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
-        # The fields of the page for this instruction, which was executed instead of `requested`.
+        # The fields in the data of the report page, for this instruction as executed and `requested`.
         return {"words": self.words(apart)}
 
 
@@ -373,7 +376,7 @@ encoded = json.JSONEncoder(separators=(",", ":")).encode
 class TimedInstruction(Instruction):
     """A gene with a duration."""
 
-    # A search needs these values of dozens of genes in each run, so they are computed once for each gene.
+    # A search needs these values for dozens of genes in each run, so they are computed only once per gene.
 
     __slots__ = ("code", "target", "text")
 
@@ -411,21 +414,20 @@ def known(kind: Callable[[Any, Any], TimedInstruction], target: Any, speed: Any)
 
 
 def checked_speed(value: object, least_steps: int = 0) -> float:
-    """Return a valid speed."""
-    # An error advises at least `least_steps`.
+    """Return a valid target speed [m/s]."""
     speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value))
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         expected = "a speed of at least 0 m/s, in steps of 0.1"
-        fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"
+        fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"  # `least_steps` is valid
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 
 
 def roughness(tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS) -> int:
-    """Return how far a number of tenths is from a round one."""
+    """Return 0 for a multiple of ``coarse``, 1 for a multiple of ``fine``, otherwise 2."""
     return (tenths % coarse > 0) + (tenths % fine > 0)
 
 
@@ -496,7 +498,7 @@ LANE_STARTS = tuple(map(Cell, (1, 2, 3, 8, 4, 6, 7, 5)))
 class LaneInstruction(TimedInstruction):
     """A gene that makes an NPC keep its lane or change it by one, wherever the ego is.
 
-    It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). If the lane does not exist, the NPC keeps its lane.
+    AV-Fuzzer has the same manoeuvres (Li et al., ISSRE 2020). If the lane does not exist, the NPC keeps its lane.
 
     Attributes:
         lane: ``"keep"``, ``"left"`` or ``"right"``, relative to the NPC's lane at the start of the gene.
@@ -537,7 +539,7 @@ class LaneInstruction(TimedInstruction):
         return LaneInstruction("keep", self.speed)
 
     def on_ring(self, cell: Cell) -> PositionInstruction:
-        # The same cell if there is none in that direction.
+        # If there is no cell in that direction, the NPC stays in the same cell.
         there = cell_at(cell.row, cell.column + self.column, 1.0, 1.0)  # a grid of 1 m by 1 m
         return PositionInstruction(there or cell, self.speed)
 
@@ -585,13 +587,12 @@ def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> lis
     ]
 
 
-# The five named intervals of slots, each with its end [s]. They divide the time at a zone as the nine cells divide
-# the grid.
+# The five named intervals of slots, each with its end [s]. They divide the time at a zone as cells divide the grid.
 SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
 
 SLOT_STEPS_PER_SECOND = 10  # slots are multiples of 0.1 s
 
-# What an NPC does at its zone; see :class:`CrossingInstruction`.
+# The acts of an NPC at its zone; see :class:`CrossingInstruction`.
 Act = Literal["pass", "hold", "stop", "late"]
 
 ACTS: tuple[Act, ...] = get_args(Act)
@@ -611,7 +612,7 @@ SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)  # slots of NPCs that cross in sm
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CrossingInstruction(Instruction):
-    """The only gene of an NPC that crosses.
+    """The only gene of an NPC that crosses the ego's path.
 
     Attributes:
         zone: entry and exit of the NPC's path, such as ``"o1>o3"``.
@@ -754,7 +755,7 @@ KINDS: tuple[type[Instruction], ...] = (PositionInstruction, LaneInstruction, Cr
 
 
 def instruction_of(plain: Sequence[Any]) -> Instruction:
-    """Return the instruction with a plain form."""
+    """Return the instruction from which :meth:`Instruction.plain` made strings and numbers."""
     if len(plain) == 4:
         return CrossingInstruction.read(plain)
     return (LaneInstruction if plain[0] in SHIFTS else PositionInstruction).read(plain)

@@ -51,7 +51,7 @@ Chromosome = tuple[Instruction, ...]
 
 
 class _Hashed(Pasteable):
-    # The slot for the hash of a scenario, which is computed when it is first needed.
+    # A slot for the hash of a scenario, which is computed when it is first needed.
 
     __slots__ = ("_hash",)
 
@@ -67,8 +67,7 @@ class Scenario(_Hashed):
             section 2). The NPC with the longest chain continues that gene.
         seed: seed of all random choices in the run, from 0 to 2**63 - 1.
         ego_lane: the ego's initial lane, from 0 at the left.
-        ego_speed: initial speed of the ego and of NPCs that do not cross [m/s]. It is lower in a curve that requires
-            it.
+        ego_speed: initial speed of the ego and of NPCs that do not cross [m/s]. It is lower if a curve requires it.
         gene_seconds: duration of a gene [s].
         traffic: driving style of the NPCs: ``paper``, ``hostile``, ``assertive`` or ``everyday``.
         vehicles: vehicles of the NPCs, in order: a ``VehicleType``, or the name of a built-in one. The remaining
@@ -86,7 +85,7 @@ class Scenario(_Hashed):
     traffic: Style = PAPERS
     vehicles: tuple[VehicleType, ...] = ()
 
-    if TYPE_CHECKING:  # it takes more than it keeps
+    if TYPE_CHECKING:  # the arguments have wider types than the fields
 
         def __init__(
             self, *, npcs: Sequence[Sequence[Instruction]], seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
@@ -126,9 +125,9 @@ class Scenario(_Hashed):
         traffic: Style = PAPERS,
         vehicles: Sequence[VehicleType | VehicleName] = (),
     ) -> Scenario:
-        """Make a scenario from chains with invalid cells, which are repaired."""
-        # A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it in the same gene.
+        """Make a scenario from chains, and repair invalid cells."""
         return cls(
+            # A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it.
             npcs=_repaired(npcs, seed),
             seed=seed,
             ego_lane=ego_lane,
@@ -140,14 +139,14 @@ class Scenario(_Hashed):
 
     @classmethod
     def trusted(cls, **fields: Any) -> Scenario:
-        # For a search, whose children consist of checked genes.
+        # Without checks, for a search in which children consist of checked genes.
         scenario = object.__new__(cls)
         for name, value in fields.items():
             object.__setattr__(scenario, name, value)
         return scenario
 
     def __hash__(self) -> int:
-        # A search hashes a scenario a dozen times a run, and hashing all genes takes as long as breeding a child.
+        # A search hashes a scenario a dozen times per run, and hashing all genes takes as long as breeding a child.
         try:
             return self._hash
         except AttributeError:
@@ -161,7 +160,7 @@ class Scenario(_Hashed):
 
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
-        """The Crossing-Instruction of each NPC, or None."""
+        """The Crossing-Instruction of each NPC, or None; empty without any."""
         found: list[Any] = [chain[0] if chain[0].crosses else None for chain in self.npcs]
         return tuple(found) if any(found) else ()
 
@@ -172,7 +171,7 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The longest chain's duration [s], or infinity with crossing NPCs."""
+        """The duration of the longest chain [s]; infinite if an NPC crosses."""
         return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
@@ -181,7 +180,7 @@ class Scenario(_Hashed):
         return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
 
     def canonical(self) -> str:
-        """Return the same text for equal scenarios on any machine."""
+        """Return a string that is the same for equal scenarios on any machine."""
         return _canonical(self)
 
     def plain(self) -> list[Any]:
@@ -200,7 +199,7 @@ class Scenario(_Hashed):
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
-        # The inverse of `plain`. Anything else raises a ScenarioError, TypeError or ValueError.
+        # The inverse of `plain`. Any other value raises a ScenarioError, TypeError or ValueError.
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
         vehicles = others.pop() if others and isinstance(others[-1], list) else ()
         return cls(
@@ -235,7 +234,6 @@ class Scenario(_Hashed):
         return self.vehicles + (CAR,) * (len(self.npcs) - len(self.vehicles))
 
     def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:
-        """Return this scenario with only these NPCs."""
         kept = tuple(npcs)
         vehicles = tuple(map(self.vehicle_of, kept)) if self.vehicles else ()
         return replace(self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes)
@@ -255,8 +253,8 @@ class Scenario(_Hashed):
 
 
 def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
-    """Return a generator for one part of the work."""
-    # It is made of numpy's own classes, since a test may have replaced `default_rng`.
+    """Return a random generator for a part of the work."""
+    # Built without `default_rng`, which a test may have replaced.
     from numpy.random import PCG64, Generator, SeedSequence  # noqa: PLC0415  (slow to import)
 
     return Generator(PCG64(SeedSequence(seed, spawn_key=part)))
@@ -264,7 +262,7 @@ def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
 
 @lru_cache(maxsize=64)
 def _canonical(scenario: Scenario) -> str:
-    # A search asks for the text of the scenario that runs four times: for its crash record, its id and its row.
+    # A search needs this text of a scenario four times per run, for the crash record, the id and the row.
     return f"[{scenario.chains_text},{encoded(scenario._beside_chains)[1:]}"
 
 
@@ -280,7 +278,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         fix = "write [[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
-        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))
+        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains)))
     for npc, chain in enumerate(chains):
         is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
         if is_one_kind and (len(chain) == 1 or not chain[0].crosses):
@@ -297,7 +295,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"
             elif gene and each.crosses:
-                expected, fix = f"one {kind.__name__}", "it is the only one of its NPC; give the other to another NPC"
+                expected, fix = f"only one {kind.__name__} per NPC", "give this one to another NPC"
             else:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
@@ -338,7 +336,7 @@ def positions_of(npcs: Sequence[Sequence[Instruction]]) -> tuple[tuple[PositionI
 
 
 def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
-    """Return the rows of NPCs on the grid, else empty rows."""
+    """Return a row per NPC, empty for NPCs that are not on the grid."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]
 
@@ -346,7 +344,7 @@ def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]
 def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -> tuple[Chromosome, ...]:
     """Return the chains with new targets in their first genes."""
     return tuple(
-        # Most targets are unchanged, and checking a new gene for each of them took a tenth of a short run.
+        # Most targets are unchanged. Checking a new gene for each of them would take a tenth of a short run.
         (
             *(gene if gene.target == target else gene.aimed(target) for target, gene in zip(row, chain, strict=False)),
             *chain[len(row) :],
@@ -357,14 +355,14 @@ def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -
 
 def continues(before: Instruction, gene: Instruction) -> bool:
     """Return whether an instruction only continues an earlier one."""
-    # An NPC that keeps its lane at the same speed after a change of lanes continues the change.
+    # An NPC that keeps its lane at the same speed after a lane change continues the change.
     return gene == before.afterwards
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return a chain with genes of another duration."""
-    # Each new gene is the old gene that was active at its middle. Longer genes may skip a cell, and then the chain
-    # needs repair. Only the first of several genes that come from one Lane-Instruction changes lanes.
+    """Return a chain with genes of the ``wanted`` duration."""
+    # Each new gene is the old gene that was active at its middle. Longer genes may skip a cell, and the chain then
+    # needs repair. If a Lane-Instruction becomes several genes, only the first one changes lanes.
     if chain[0].crosses:
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
@@ -393,6 +391,6 @@ def _check_distinct(npcs: Sequence[Chromosome]) -> None:
                 continue
             other = holders.setdefault(held.cell, npc)
             if other != npc:
-                place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
+                place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC occupies in gene {gene}"
                 received = f"cell {int(held.cell)} of npcs[{other}]"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

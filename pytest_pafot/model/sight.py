@@ -53,7 +53,7 @@ class Sight:
 
     @property
     def is_drawn(self) -> bool:
-        # Only then the seed of a scenario makes a difference.
+        # Only then does the seed of a scenario make a difference.
         return bool(self.noise or self.dropout)
 
     @property
@@ -64,17 +64,16 @@ class Sight:
             "noise": f"noise of {listed([f'{value:g} {NOISES[key]}' for key, value in self.noise.items()])}",
             "dropout": f"{100 * self.dropout:g} % dropout",
         }
-        return listed([texts[name] for name in self.imperfections] or ["perfect sight"])
+        return listed([texts[name] for name in self.imperfections] or ["perfect perception"])
 
     def delay(self, hz: float) -> int:
         # In ticks, rounded up.
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> list[tuple[int, float, float, float]]:
-        """Return an index and errors for each vehicle that is seen."""
+        """Return the index and the errors of each vehicle that is seen."""
         # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed
-        # [m/s]. Random numbers of a decision depend only on the seed and the tick.
-        # Random numbers of a decision depend only on the seed and the tick.
+        # [m/s]. Their random numbers depend only on the seed and the tick.
         others = len(states) - 1
         errors, seen = np.zeros((others, 3)), np.ones(others, dtype=bool)
         if self.range is not None:
@@ -90,6 +89,6 @@ class Sight:
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
     number = plain_number(value)
     if number is None or not 0 <= number <= most:
-        expected = f"a finite number from 0 [{unit}]" if unit else f"a number from 0 to {most:g}"
+        expected = f"a finite number of at least 0 [{unit}]" if unit else f"a number from 0 to {most:g}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
     return number

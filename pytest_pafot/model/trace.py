@@ -1,4 +1,4 @@
-"""Records of runs."""
+"""The trace of a run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)  # columns of :attr:`Trace.trac
 class Outcome(StrEnum):
     """The ways in which a run can end."""
 
-    SAFE = "safe"
+    COMPLETED = "safe"
     """The run reached its full duration, or the environment ended it."""
     OFF_ROAD = "off_road"
     """The ego's centre left the road, which ends runs on curved roads."""
@@ -99,7 +99,7 @@ class Collision:
         return f"<Collision after {self.time:.1f} s: {what}{where}, {self.side} of the ego>"
 
 
-# The kind of an error that is not the ADS's: a method of the environment, or of a wrapper, did not return.
+# The kind of error for which the ADS is not the cause: a method of the environment, or of a wrapper, did not return.
 WORLD_HANG = "WorldHang"
 
 
@@ -159,8 +159,8 @@ class RoadOfRun:
 
     @cached_property
     def direction(self) -> tuple[FloatArray, FloatArray]:
-        # cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1], or [1, 1] if all lanes have
-        # the same heading
+        # The cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1], or [1, 1] if all lanes
+        # have the same heading.
         headings = [lane.heading for lane in self._lanes]
         if headings.count(headings[0]) == len(headings):
             heading = np.array([headings[:1]])
@@ -176,7 +176,7 @@ class RoadOfRun:
 
     @property
     def heading(self) -> float | None:
-        # None if lanes have several headings
+        # None if the lanes have different headings.
         heading = self._lanes[0].heading
         return None if any(lane.heading != heading for lane in self._lanes) else heading
 
@@ -203,12 +203,12 @@ class RoadOfRun:
         return x * cos + y * sin, y * cos - x * sin
 
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        # Cosine and sine of each vehicle's angle to the road, and those of the road's heading.
+        # The cosine and sine of each vehicle's angle to the road, and the cosine and sine of the road's heading.
         road_cos, road_sin = self.direction
         return cos * road_cos + sin * road_sin, sin * road_cos - cos * road_sin, road_cos, road_sin
 
     def displacement(self, vehicle: int, first: int, last: int) -> float:
-        # How far to the side of its last position the vehicle was between the two ticks.
+        # The largest sideways distance between the vehicle's last position and its positions since the first tick.
         states = self._states[first : last + 1, vehicle]
         heading = self._lanes[max(int(states[-1, LANE]), 0)].heading
         across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
@@ -223,11 +223,11 @@ class RoadOfRun:
         return np.minimum(across - left, right - across)
 
     def numbers(self, vehicle: int) -> FloatArray:
-        # Counted from the left; -1 if there is no such number.
+        # The numbers of the vehicle's lanes, counted from the left; -1 if a lane has no number.
         return self._states[:, vehicle, LANE]
 
     def counted(self, tick: int, vehicle: int) -> float:
-        # Counted to the right from some lane of the road; NaN if unknown.
+        # The number of the vehicle's lane, counted to the right from any lane; NaN if unknown.
         lane = float(self._states[tick, vehicle, LANE])
         return lane if lane >= 0 else math.nan
 
@@ -258,7 +258,7 @@ class RoadOfRun:
         (cos, sin), lanes = self._cos_sin, self.column(LANE).astype(np.intp)
         centres = np.array([lane.y * cos - lane.x * sin for lane in self._lanes])
         offset, off = self._across - centres[lanes], lanes < 0
-        if off.any():  # off the road: as if there were one more lane on either side
+        if off.any():  # off the road, positions are measured as if there were one more lane on either side
             width = self._lanes[0].width
             beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
             apart = self._across[off, None] - beside
@@ -267,7 +267,7 @@ class RoadOfRun:
 
 
 class BentRoadOfRun(RoadOfRun):
-    """A road with a recorded track."""
+    """The road of a run with a recorded track."""
 
     is_straight = False
 
@@ -289,8 +289,8 @@ class BentRoadOfRun(RoadOfRun):
 
     @cached_property
     def is_on_way(self) -> npt.NDArray[np.bool_]:
-        # A user's world may record NaN for a vehicle, too. Its distances must then stay NaN, so it counts as on the
-        # way.
+        # A user's world can also record NaN for a vehicle. The distances to it must stay NaN, so it counts as on the
+        # ego's path.
         return ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
 
     @cached_property
@@ -338,14 +338,14 @@ class BentRoadOfRun(RoadOfRun):
 
 
 def driven_between(ego: Any, npc: Any) -> Any:
-    """Return the metres to drive from the ego to an NPC."""
-    # This is the difference of the two positions on the ego's path, times the mean of the metres that both drive per
-    # metre of the path. In a circle it is the arc halfway between the arcs of the two vehicles.
+    """Return the driving distance from the ego to an NPC [m]."""
+    # This is the difference of the two positions on the ego's path, times the mean of the metres that the two vehicles
+    # drive per metre of the path. In a circle, it is the length of the arc halfway between them.
     return (npc[ALONG] - ego[ALONG]) * (ego[STRETCH] + npc[STRETCH]) / 2
 
 
 def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | None) -> RoadOfRun:
-    """Return the road of a run, which is straight without a track."""
+    """Return the road of a run. A road without a track is straight."""
     return RoadOfRun(states, lanes) if track is None else BentRoadOfRun(states, lanes, track)
 
 
@@ -366,7 +366,7 @@ class Trace:
         lanes: lanes of the road, from the left; first the lanes along the ego's path.
         physics_hz: ticks per second.
         ads_hz: decisions per second.
-        actions: the actions of the ADS, one per decision; none for a vehicle class.
+        actions: the actions of the ADS, one per decision; empty for a vehicle class.
         decided: the ticks of irregular decisions, or empty.
         arrivals: for each NPC and started gene, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
@@ -380,7 +380,7 @@ class Trace:
         obstacles: x [m], y [m], heading [rad], length and width [m] of fixed objects.
         drew: True if the run drew from a global random generator.
         ego_vehicle: the ego's vehicle.
-        ended: what in the environment ended the run early, or empty.
+        ended: the part of the environment that ended the run early, or empty.
     """
 
     scenario: Scenario
@@ -409,11 +409,11 @@ class Trace:
 
     @property
     def users_error_text(self) -> str:
-        """The user's code that made the run invalid, or an empty string."""
+        # The user's code that made the run invalid, or an empty string.
         return self.ended if self.outcome is Outcome.INVALID else ""
 
     def __post_init__(self) -> None:
-        # Arrays become read-only float64, and copies of arrays that their owner could still change.
+        # Arrays become read-only and float64. An array that its owner could still change is copied.
         for name in ("states", "sizes", "track", "on_way"):
             if getattr(self, name) is None:
                 continue
@@ -484,7 +484,7 @@ class Trace:
     def way_of(self, npc: int) -> FloatArray:
         """Return the positions along an NPC's crossing path [m], or raise a ValueError."""
         if self.on_way is None:
-            raise ValueError("on_way: expected a run in which an NPC crosses the ego's way, received no crossing NPC")
+            raise ValueError("on_way: expected a run in which an NPC crosses the ego's path, received no crossing NPC")
         return self.on_way[:, npc]
 
     @property
@@ -493,7 +493,7 @@ class Trace:
         return self.road.angles
 
     def rows_until(self, tick: int) -> dict[str, Any]:
-        # Arrays with one row per tick, by the names of their fields.
+        # The arrays with one row per tick up to this one, by the names of their fields.
         arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}
         return {name: None if array is None else array[: tick + 1] for name, array in arrays.items()}
 
@@ -513,24 +513,24 @@ class Trace:
         return f"<Trace {self.outcome} after {self.duration:.1f} s of {self.scenario.id}>"
 
 
-# The names and the units of the columns of :attr:`Trace.states`.
+# The names and units of the columns of :attr:`Trace.states`.
 QUANTITIES = (
     *(("x", "m"), ("y", "m"), ("heading", "rad"), ("speed", "m/s"), ("acceleration", "m/s^2"), ("steering", "rad")),
     ("lane", ""),
 )
-# The cause of a difference between two runs in which the same was decided.
+# The cause of a difference between two runs with the same actions.
 SURVIVES = "the cause is probably state that survives `start` or `reset`, or a random generator that these do not seed"
 
 
 def named(vehicle: int) -> str:
-    """Return the name for a vehicle in messages. Number 0 is the ego."""
+    """Return the name of a vehicle in messages. Number 0 is the ego."""
     return f"NPC {vehicle - 1}" if vehicle else "the ego"
 
 
 def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:
     """Return how two runs of one scenario first differ, or an empty string."""
-    # `within` is the difference of x and y that is ignored between two simulators [m]. None requires equality to the
-    # last bit, and then the text names the cause.
+    # `within` is the largest difference of x and y that is ignored [m]. None requires equality to the last bit, and the
+    # result then names the cause.
     ticks = min(len(first.states), len(again.states))
     one, other = (each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1] for each in (first, again))
     with np.errstate(invalid="ignore"):  # inf - inf

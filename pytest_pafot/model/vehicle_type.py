@@ -24,12 +24,12 @@ class DrivingStyle:
     """The limits that a style sets for NPCs.
 
     Attributes:
-        described: text for reports.
+        described: description for reports.
         is_attentive: True if NPCs respond to the ego.
-        least_speed_share: lowest speed of an NPC with nothing ahead, as a proportion of the lower of speed limit
-            and ego's speed. It also limits target speeds in a search.
-        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
-        time_gap: the smallest gap at which it moves in, as a time at the ego's speed [s].
+        least_speed_share: lowest speed of an NPC with nothing ahead, as a proportion of the speed limit or, if lower,
+            of the ego's speed. It also limits target speeds in a search.
+        least_gap: smallest gap, bumper to bumper, at which an NPC moves in ahead of the ego [m].
+        time_gap: smallest gap at which an NPC moves in ahead of the ego, as a time at the ego's speed [s].
         braking: hardest braking of an NPC if nothing ahead requires more [m/s^2].
         lateral_speed: highest lateral speed of an NPC [m/s].
     """
@@ -49,9 +49,9 @@ class DrivingStyle:
 
 Style = Literal["paper", "hostile", "assertive", "everyday"]  # the name of a style
 
-# The styles by name; docs/explanation/search.md has the sources of the values for everyday driving. The paper's NPCs
-# run into the rear of an ego that is slower than their instruction; hostile ones do all that the ego can still
-# respond to.
+# The styles by name. docs/explanation/search.md has the sources of the values for everyday driving. The paper's NPCs
+# run into the rear of an ego that is slower than their instruction. Hostile NPCs do anything to which the ego can still
+# respond.
 STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
     {
         "paper": DrivingStyle(is_attentive=False),
@@ -75,12 +75,12 @@ STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
     }
 )
 
-PAPERS: Style = "paper"  # the style of the paper's NPCs, which a scenario has unless it names another one
+PAPERS: Style = "paper"  # the style of the paper's NPCs, which is the default of a scenario
 HOSTILE: Style = "hostile"  # the default of a search
 
 
-# Smallest and largest value of each number of a vehicle. NPCs keep their distance as if all of them braked with 5
-# m/s^2, which is also the least that UN Regulation 13 requires.
+# The smallest and largest value of each number of a vehicle. NPCs keep their distance as if all of them braked at 5
+# m/s^2, which is also the minimum that UN Regulation 13 requires.
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "length": (1.0, 20.0),
@@ -142,26 +142,26 @@ class VehicleType(Pasteable):
             expected = f"at least the width, {self.width:g}"
             raise FieldError(field="length", expected=expected, received=f"{self.length:g}")
         if READY.get(self.name, self) != self:
-            expected, fix = f"a name other than {', '.join(READY)}", f"write only {self.name!r}, or another name"
+            expected, fix = f"a name other than {', '.join(READY)}", f"use {self.name!r} alone, or choose another name"
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A built-in vehicle stays the same object in every process, so comparing it takes no time.
+        # A built-in vehicle is one object in every process, so comparing it takes no time.
         return _unpickled, (self.plain(),)
 
     def __repr__(self) -> str:
-        # Not super(), which a dataclass with slots does not have.
+        # super() does not work in a dataclass with slots.
         return repr(self.name) if self.name in READY else Pasteable.__repr__(self)
 
     def plain(self) -> str | dict[str, Any]:
-        # A built-in vehicle is only a name.
+        # A built-in vehicle is stored as its name.
         if self.name in READY:
             return self.name
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return {name: value for name, value in values.items() if value != math.inf}
 
     def can_follow(self, curvature: float) -> bool:
-        """Return whether the vehicle can follow a curvature [1/m]."""
+        # The curvature is in 1/m.
         return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
 
     @property
@@ -189,7 +189,7 @@ class VehicleType(Pasteable):
 
     @classmethod
     def of(cls, given: Any) -> VehicleType:
-        """Return the vehicle for a name or a plain form."""
+        """Return the vehicle with a name, or from a dict that :meth:`plain` returned."""
         if isinstance(given, VehicleType):
             return given
         if isinstance(given, str) and given in READY:
@@ -202,9 +202,9 @@ class VehicleType(Pasteable):
         raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
 
 
-VehicleName = Literal["car", "van", "truck", "motorcycle"]  # the name of a ready vehicle
+VehicleName = Literal["car", "van", "truck", "motorcycle"]  # the name of a built-in vehicle
 
-READY: Mapping[str, VehicleType] = MappingProxyType({})  # the ready vehicles by their names
+READY: Mapping[str, VehicleType] = MappingProxyType({})  # the built-in vehicles by name, see below
 
 # Sources of the numbers:
 # - SUMO, "Vehicle Type Parameter Defaults", https://sumo.dlr.de/docs/Vehicle_Type_Parameter_Defaults.html: sizes of the
@@ -227,19 +227,19 @@ TRUCK = VehicleType(
     name="truck", length=12.0, width=2.55, acceleration=1.3, braking=7.0, lateral_acceleration=3.4, top_speed=25.0
 )
 
-# A motorcycle of SUMO's size, acceleration and braking. Usual worlds have lower limits, and then these apply.
+# A motorcycle with SUMO's size, acceleration and braking. If the world has lower limits, as usual, these apply.
 MOTORCYCLE = VehicleType(name="motorcycle", length=2.2, width=0.9, acceleration=6.0, braking=10.0)
 
 READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYCLE)})
 
 
 def _unpickled(plain: Any) -> VehicleType:
-    # Not the class method itself: cloudpickle sends its code, which is called before the names in it are there.
+    # Not the class method itself: cloudpickle would send its code, and call it before the names in it are defined.
     return VehicleType.of(plain)
 
 
 def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:
-    """Return vehicles up to the last that is no car."""
+    """Return vehicles without the cars at the end."""
     # Equal scenarios must have equal vehicles.
     count = len(vehicles)
     while count and vehicles[count - 1] == CAR:
@@ -248,7 +248,7 @@ def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...
 
 
 def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
-    """Return the distinct vehicles of names or vehicles."""
+    """Return the distinct vehicles for one or several names or vehicles."""
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     found = tuple(dict.fromkeys(VehicleType.of(each) for each in several))
     if not found:

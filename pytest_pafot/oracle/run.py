@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 class Rejected(BaseException):
-    """The exception of :func:`reject`, which handlers for ``Exception`` in a test do not catch."""
+    """The exception that :func:`reject` raises. Handlers for ``Exception`` in a test do not catch it."""
 
 
 def reject() -> NoReturn:
@@ -62,15 +62,15 @@ LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A value of one run that was compared with its bounds."""
+    """A checked value of one run, with its bounds."""
 
     name: str
     value: float  # the worst value of the run [unit]; NaN fails
-    margin: float  # its distance from the bound, divided by the scale; negative if the bound is broken
+    margin: float  # distance of the value from the bound, divided by the scale; negative if the bound is broken
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
-    time: float | None = None  # of the worst value [s]
+    time: float | None = None  # time of the worst value [s]
     npc: int | None = None
     # All values, if there is one per tick.
     values: FloatArray | None = field(default=None, compare=False, repr=False)
@@ -99,7 +99,7 @@ class Check:
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
-    """Error for a check with a broken bound; its attribute ``check`` has the details."""
+    """The error of a check with a broken bound. Its attribute ``check`` has the details."""
 
     __module__ = "pytest_pafot"  # users import it from there, and tracebacks show this name
 
@@ -155,14 +155,14 @@ def check(
             fails.
         name: name of the check. Failures with the same name are one finding.
         at_most, at_least: bounds [unit]. At least one is required.
-        unit: such as ``"m/s^3"``.
+        unit: unit of the value, such as ``"m/s^3"``.
         at: time of the event [s]; by default, the time of an array's worst value.
         npc: index of the NPC that the check is about. -1, as in ``run.leader``, means none.
-        scale: divisor of the margin [unit], which makes checks comparable; by default the bound, or 1 if it is 0.
+        scale: divisor of the margin [unit], which makes checks comparable; by default the bound, or 1 for a bound of 0.
 
     Raises:
         CheckFailed: if a bound is broken.
-        ValueError: if the check is not valid.
+        ValueError: if an argument is invalid.
     """
     __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
     what = f"check {name!r}"
@@ -204,7 +204,7 @@ def _values(value: Any, name: str) -> FloatArray:
     try:
         values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"check {name!r}: expected a number or an array of them, received {value!r:.80}") from error
+        raise ValueError(f"check {name!r}: expected a number or an array of numbers, received {value!r:.80}") from error
     if values.ndim != 1 or not values.size:
         raise ValueError(
             f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
@@ -216,7 +216,7 @@ def _values(value: Any, name: str) -> FloatArray:
 def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
     """Assert a condition, also under ``python -O``.
 
-    ``assertion`` is its source, which identifies the failure. ``explain`` returns the message.
+    ``assertion`` is the source of the condition, which identifies the failure. ``explain`` returns the message.
     """
     __tracebackhide__ = True
     if not holds:
@@ -248,7 +248,7 @@ def _npc(name: str, npc: Any) -> int | None:
     is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
     if npc is not None and not (is_index and (most is None or npc < most)):
         there = "" if most is None else f", at most {most - 1}"
-        raise ValueError(f"check {name!r}: expected npc= as the index of an NPC{there}, received {npc!r:.100}")
+        raise ValueError(f"check {name!r}: expected the index of an NPC as npc={there}, received {npc!r:.100}")
     return None if npc is None or npc < 0 else int(npc)
 
 
@@ -265,13 +265,13 @@ def _short(value: float, bound: float | None) -> str:
     )
 
 
-# pytest shows an explanation behind a margin, so its sentences are wrapped at this width.
+# pytest indents an explanation, so its sentences are wrapped at this width.
 SENTENCE_WIDTH = 72
 # The longest line of an explanation.
 LINE_LENGTH = 99
-# Explanations mention a backward speed above this [m/s]. Less is the overshoot of a car that stops.
+# Explanations mention driving backwards only above this speed [m/s]. A lower speed is the overshoot of a stopping car.
 BACKWARDS = 0.5
-# Up to this difference, the speed of an instruction was reached [m/s].
+# An NPC has reached the speed of an instruction if the difference is at most this [m/s].
 NEAR_SPEED = 0.5
 # The largest number of rows in an explanation's table of genes.
 MAX_GENE_ROWS = 5
@@ -279,8 +279,8 @@ MAX_GENE_ROWS = 5
 # and whether to name the side from which an NPC enters the ego's lane.
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
 _DEPARTURES = {
-    Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
-    Outcome.LEFT_ROUTE: ", when the ego left its route",
+    Outcome.END_OF_ROAD: ", after which a vehicle reached the end of the road",
+    Outcome.LEFT_ROUTE: ", after which the ego left its route",
 }
 
 
@@ -364,25 +364,25 @@ class Run:
 
     @cached_property
     def mettc(self) -> float:
-        """The paper's minimum estimated time to collision (equations 1 to 3) [s]; lower is worse, inf without one."""
+        """The paper's minimum estimated time to collision (equations 1 to 3) [s]; lower is worse, inf if none."""
         return criticality.mettc(self.trace)
 
     @cached_property
     def min_ttc(self) -> float:
-        """The smallest time to contact of the ego's box and an NPC's [s]; lower is worse, inf if there is none.
+        """The smallest time to contact between the boxes of the ego and an NPC [s]; lower is worse, inf if none.
 
-        Velocities are constant (Hayward, 1972).
+        It assumes constant velocities (Hayward, 1972).
         """
         return criticality.min_ttc(self.trace)
 
     @cached_property
     def min_distance(self) -> float:
-        """The smallest distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
+        """The smallest distance between the boxes of the ego and an NPC [m]; lower is worse, 0 at contact."""
         return criticality.min_gap(self.trace)
 
     @cached_property
     def min_centre_distance(self) -> float:
-        """The smallest distance between the ego's centre and an NPC's [m] (equation 4 of the paper)."""
+        """The smallest distance between the centres of the ego and an NPC [m] (equation 4 of the paper)."""
         return criticality.min_centre_distance(self.trace)
 
     @cached_property
@@ -404,7 +404,7 @@ class Run:
 
     @property
     def headway(self) -> FloatArray:
-        """The gap to the leader divided by the ego's speed [s], a signal."""
+        """The gap to the leader at each tick, divided by the ego's speed [s]."""
         return self.signal(headway)
 
     @cached_property
@@ -421,12 +421,12 @@ class Run:
     def passages(self) -> tuple[Passage, ...]:
         """The times at which the ego and each crossing NPC were in their conflict zone.
 
-        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time between them [s].
+        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the smallest gap [s].
         """
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
-        """Return the signal that a function computes from the trace; with ``npc``, only the column of that NPC."""
+        """Return the signal that a function computes from the trace, or only its column for the NPC ``npc``."""
         return self._signals.of(function, npc)
 
     def to_pandas(self) -> DataFrame:
@@ -435,7 +435,7 @@ class Run:
             pd = import_late("pandas")
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                f"run.to_pandas(): expected pandas to be installed. To install it, run {install('compare')}"
+                f"run.to_pandas(): expected the package pandas, which is missing. Run `{install('compare')}`"
             ) from error
         return pd.DataFrame(  # type: ignore[no-any-return]
             {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
@@ -462,13 +462,13 @@ class Run:
 
     @property
     def responsibility(self) -> Responsibility | None:
-        """The side that is responsible for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
+        """The side that is responsible for the collision: ``"ego"``, ``"npc"``, ``"both"`` or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
     @property
     def second_opinion(self) -> Responsibility | None:
-        """The side that the simpler rule of the paper's authors blames, ``"ego"`` or ``"npc"``, or None."""
+        """The side that the simpler rule of the paper's authors blames: ``"ego"``, ``"npc"`` or None."""
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
@@ -476,12 +476,12 @@ class Run:
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """The tick and NPC with the smallest time to contact, if it was finite."""
+        """The tick and NPC with the smallest time to contact, or None."""
         return self._at_minimum(criticality.ttc(self.trace))
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """The tick and NPC with the smallest distance between the boxes."""
+        """The tick and NPC with the smallest distance between the boxes, or None."""
         return self._at_minimum(criticality.gap(self.trace))
 
     @property
@@ -493,7 +493,7 @@ class Run:
     def event_time(self) -> float:
         """The time of the most important event of the run [s].
 
-        It is a collision, error or departure from the road; otherwise, the smallest time to contact.
+        This is the collision, the error or the departure from the road; otherwise, the smallest time to contact.
         """
         if self.collision is not None:
             return self.collision.time
@@ -515,11 +515,11 @@ class Run:
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the conflict zone of an event's NPC before it has merged, or None."""
+        """Return the conflict zone of an event's NPC, or None after the NPC has merged."""
         zone, on_way = None if event.npc is None else self.npcs[event.npc].zone, self.trace.on_way
         if event.npc is None or zone is None or on_way is None:
             return None
-        # After it has merged and left the zone, an NPC is on the ego's path like any other.
+        # After an NPC has merged and left the zone, it is on the ego's path like any other.
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
@@ -533,7 +533,7 @@ class Run:
 
     @cached_property
     def asked(self) -> tuple[SlotRequest, ...]:
-        """The time gaps requested of crossing NPCs at their conflict zones, and the actual ones."""
+        """The requested and the actual time gaps of crossing NPCs at their conflict zones."""
         return slot_requests(self.trace)
 
     @property
@@ -547,7 +547,7 @@ class Run:
 
     @property
     def impact(self) -> str:
-        """Who hit whom, when and how fast, in words; empty without a collision."""
+        """The collision in words: who hit whom, when and how fast; empty if none."""
         hit = self.collision
         if hit is None:
             return ""
@@ -581,7 +581,7 @@ class Run:
             lines += [f"  {'; '.join(others)}"] if others else []
             crossing = _crossing_lines(self.trace)
             lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
-        # Texts from users and exceptions must neither break lines nor make them too long.
+        # Strings of users and exceptions must neither break lines nor make them too long.
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         most = math.inf if self.collision is not None and not instructions else LINE_LENGTH
         return "\n".join(text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -614,7 +614,7 @@ class Run:
             more = ", or one touched a fixed object" if self.trace.obstacles else ""
             why = self.trace.users_error_text or f"two NPCs touched{more}"
             return f"invalid after {self.duration:.1f} s: {why}"
-        over = f", which {self.trace.ended} ended" if self.trace.ended else ""
+        over = f", after which {self.trace.ended} ended the run" if self.trace.ended else ""
         if self.off_road:
             return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s{over}"
         return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, over)}"
@@ -663,8 +663,8 @@ def arrival(trace: Trace, npc: int, gene: int) -> int | None:
         lanes = chain[gene].lasting(chain[later])
         return lanes is not None and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
 
-    # A lane change may take longer than a short gene. It also counts if the NPC arrives in its new lane during the next
-    # genes that keep that lane.
+    # A lane change can take longer than a short gene. It also counts if the NPC arrives in its new lane during the next
+    # genes, as long as these keep that lane.
     genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
     return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
 
@@ -690,7 +690,7 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 
 def _passed(passage: Passage | None) -> str:
-    # When the NPC passed the zone; "it" is the ego, which the instruction before this text names.
+    # The time at which the NPC passed the zone. "it" is the ego, which the instruction in the same line names.
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
@@ -706,8 +706,8 @@ def _passed(passage: Passage | None) -> str:
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:
-    # A row per gene and a column per NPC, for the last genes that started. A gene in which no NPC does anything new
-    # belongs to the row before. Times are in seconds.
+    # A row per gene and a column per NPC, for the last genes that started. A gene in which all NPCs continue shares the
+    # row of the gene before. Times are in seconds.
     scenario, seconds = trace.executed, trace.executed.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     if not npcs:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin.collection import ANY_MARK, SAVED_MARK, SEARCH_MARK, Collection, arguments_of, is_driven
 from pytest_pafot.plugin.session import (
     INVENTORY,
@@ -33,6 +32,7 @@ from pytest_pafot.plugin.session import (
     stale_day,
 )
 from pytest_pafot.report.session import Session
+from pytest_pafot.searches.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.support import isolating
 from pytest_pafot.support.errors import RequestError, flag
 
@@ -60,9 +60,9 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> Generator[None
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marks, and a plugin for each feature that is turned on."""
+    """Register the marks, and one plugin for each enabled feature."""
     for line in (
-        f"{ANY_MARK}: all tests of pytest-pafot, which `pytest -m {ANY_MARK}` selects",
+        f"{ANY_MARK}: select all tests of pytest-pafot with `pytest -m {ANY_MARK}` (set by @pafot.search)",
         f"{SEARCH_MARK}(**arguments): search for scenarios in which the test fails (set by @pafot.search)",
         f"{SAVED_MARK}(saved): replay a saved scenario (set by the plugin)",
     ):
@@ -77,12 +77,12 @@ def pytest_configure(config: pytest.Config) -> None:
     else:
         shared = config.stash[SHARED] = Shared()
         if asked := config.getoption(BY_NAME["today"].key):
-            if is_ci(os.environ):  # where a day may stay in a script for years
+            if is_ci(os.environ):  # a CI script may keep an old day for years
                 config.stash[SESSION].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
             shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
-        if cause_of(config):  # the tests of saved scenarios may all be gone
+        if cause_of(config):  # even if no marked test is left to register it
             from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
 
             features["guard"] = Guard(config)
@@ -93,7 +93,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
-    if is_parallel:  # last, so that what it takes from workers that have ended comes before the reports
+    if is_parallel:  # last, so that it merges the data of ended workers before the reports are written
         from pytest_pafot.plugin.distributed import Controller  # noqa: PLC0415
 
         _register(config, {"controller": Controller()})
@@ -120,7 +120,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if is_marked or any(inventory):
         _report(config)
     if not is_marked or config.getoption("collectonly"):
-        return  # these plugins import the simulation, and an editor that only lists tests would wait for it
+        return  # these plugins import the simulation, which would slow down an editor that only lists tests
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
     from pytest_pafot.plugin.messages import Failures  # noqa: PLC0415
 
@@ -130,7 +130,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Register the reports in a session without marked items that has problems to report."""
+    """Register the reports if a session without marked items has something to report."""
     said = session.config.stash[SESSION]
     if said.problems or said.written or said.left:
         _report(session.config)
@@ -156,7 +156,7 @@ def _register(config: pytest.Config, features: Mapping[str, object]) -> None:
             config.pluginmanager.register(feature, f"pafot-{name}")
 
 
-# Fixtures for searches and for ordinary tests that simulate, and the types of their values.
+# Fixtures for searches and for ordinary tests that run simulations, and the types of their values.
 
 
 class Simulate(Protocol):
@@ -168,14 +168,14 @@ class Simulate(Protocol):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Isolate policies in tests that call ``pafot_simulate``, if the options require it."""
+    """Isolate the policies of tests that call ``pafot_simulate``, if an option requests it."""
     with isolating(lambda: option_value(item.config, BY_NAME["isolate"], arguments_of(item) or {})):
         return (yield)
 
 
 @pytest.fixture(scope="session")
 def pafot_world() -> BaseWorld:
-    """Return the default world of searches, a straight motorway. Override this fixture in a conftest.py."""
+    """Return the default world of searches, a straight motorway. Override it in a conftest.py."""
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
@@ -185,15 +185,15 @@ def pafot_world() -> BaseWorld:
 def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
 
-    The function fails the test if the ADS raises, hangs or returns no action. It warns if the run is invalid.
+    The function fails the test if the policy raises, hangs or returns no action. It warns if the run is invalid.
     """
-    from pytest_pafot.campaign.harness import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
     from pytest_pafot.execution.runner import drive_once  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.instructions import Cell, PositionInstruction  # noqa: PLC0415
     from pytest_pafot.model.scenario import Scenario  # noqa: PLC0415
     from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
+    from pytest_pafot.searches.harness import ads_text  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None) -> Run:
@@ -209,7 +209,7 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
         if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)
         hypothesis = sys.modules.get("hypothesis")
-        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
+        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many scenarios
         if run.outcome is Outcome.INVALID and not is_generated:
             why = run.trace.users_error_text or "two NPCs collided, or an NPC hit a fixed object"
             what = "environment" if run.trace.ended else "scenario"
@@ -221,7 +221,7 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
             )
         return run
 
-    # The first run imports highway-env, which takes about a second: hypothesis would call the test too slow.
+    # The first run imports highway-env, which takes about a second. Hypothesis would report the test as too slow.
     still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))
     with isolating(lambda: False):
         simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))

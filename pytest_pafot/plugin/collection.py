@@ -1,6 +1,6 @@
-"""The collection of items: each marked test has one for its search, and one for each saved scenario.
+"""The collection of items: one for the search of each marked test, and one for each saved scenario.
 
-Every test file that uses the plugin imports this module, so it imports little.
+Every test file that uses the plugin imports this module, so the module itself imports little.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from pytest_pafot.plugin.session import (
 )
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.request import Request, SearchArguments
     from pytest_pafot.corpus.reader import Saved
+    from pytest_pafot.searches.request import Request, SearchArguments
 
 
 SEARCH_MARK = "pafot_search"
@@ -44,9 +44,9 @@ ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 RUN = "run"  # the parameter of the test function that receives the run
-MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()  # what is marked, by the module that exists
-REPEAT = "repeat="  # the part of an item's name by which a plugin repeats its test, followed by a number
-POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
+MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()  # the marked functions and classes, by module
+REPEAT = "repeat="  # comes before the number of a repetition in the name of an item
+POSITIONAL = "<positional>"  # the key of positional arguments, which the item reports as an error
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
 
@@ -58,10 +58,10 @@ def search(**arguments: Unpack[SearchArguments]) -> Callable[[Target], Target]: 
 def search(*target: Any, **arguments: Any) -> Any:
     """Search for scenarios in which the decorated test function raises.
 
-    The decorator works with and without arguments, on functions and on classes of test functions. Arguments are checked
+    The decorator works with and without arguments, on functions and on test classes. Arguments are checked
     right before the test runs, so a wrong argument fails one item and does not prevent the import of the module.
     """
-    # @pafot.search, not @pafot.search(...): the only argument is the test, unless it looks like an ADS or a factory.
+    # @pafot.search, not @pafot.search(...): the only argument is the test, unless it looks like a policy or a factory.
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorate(target[0], (), {})
     return lambda function: _decorate(function, target, arguments)
@@ -80,7 +80,7 @@ def _may_be_decorated(target: object) -> bool:
 def _check_name(target: object) -> None:
     if getattr(target, "__name__", "<lambda>") == "<lambda>":
         raise TypeError(
-            f"expected a test function or a class of tests, received {target!r}. pytest does not collect objects "
+            f"expected a test function or a test class, received {target!r}. pytest does not collect objects "
             f"without a name. Write a function `def test_...({RUN})` that calls it, and decorate the function"
         )
 
@@ -104,12 +104,12 @@ def is_driven(item: pytest.Item) -> bool:
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
-    """Return the merged arguments of an item's search marks, or None without a search mark."""
+    """Return the merged arguments of an item's search marks, or None if it has none."""
     marks = list(item.iter_markers(SEARCH_MARK))
     if not marks:
         return None
     merged: dict[str, Any] = {}
-    # The mark that is closest to the function comes first, and wins.
+    # The mark that is closest to the function comes first, and takes precedence.
     for mark in reversed(marks):
         merged.update(mark.kwargs)
         if mark.args:
@@ -119,14 +119,14 @@ def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
 
 # The names of items: ``test_x[1-search]`` is a search, ``test_x[1-saved-<id>]`` replays a saved scenario.
 #
-# Both belong to the test ``test_x[1]``, whose name is called the base name here.
+# Both belong to the test ``test_x[1]``. This module calls that name the base name.
 
 
 def saved_part(id_: str) -> str:
     """Return the part of an item's name that identifies its saved scenario, such as ``saved-<id>``."""
     from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have a saved scenario)
 
-    # pytest escapes other characters in the names of items, and a terminal obeys control characters.
+    # pytest escapes non-ASCII characters in the names of items, and a terminal obeys control characters.
     if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
         return f"{SAVED_PART}{id_}"
     from urllib.parse import quote  # noqa: PLC0415
@@ -145,7 +145,7 @@ def base_name(item: pytest.Item) -> str:
 
 
 def base_id(item: pytest.Item) -> str:
-    """Return the node id of an item's test, which a search and its saved scenarios have in common."""
+    """Return the node id of an item's test, which a search shares with its replays."""
     return _node_id(item, base_name(item))
 
 
@@ -155,7 +155,7 @@ def saved_node_id(item: pytest.Item, id_: str) -> str:
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
-    """Return the name, for the location of a report, of the item that will replay a finding."""
+    """Return the name of the item that will replay a finding, for the location in a report."""
     return renamed(item.location[2], id_)
 
 
@@ -170,7 +170,7 @@ def _node_id(item: pytest.Item, name: str) -> str:
 
 
 def renamed(text: str, id_: str) -> str:
-    """Return the name of a replay, given the name of its search and the id of its scenario."""
+    """Return the name of the item that replays a scenario, given the name of its search."""
     parts = layout.around(layout.SEARCH_PART, text)
     return text if parts is None else saved_part(id_).join(parts)
 
@@ -181,7 +181,7 @@ COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 """The checked mark and options of an item."""
 
-SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
+SEARCH = "search"  # a placeholder argument, which each simulated run replaces
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
@@ -193,7 +193,7 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX) or folders.get(arg)]
     if not given:
         return set(), set()
-    # A test file that the user has named too is collected with all its tests.
+    # A test file that is also on the command line is collected with all its tests.
     others = [path_of(config, arg).resolve() for arg in config.args if arg not in given]
     paths = [path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]]
     files = [path.parent.resolve() / path.name for path in paths]  # not resolved: a link has its own item
@@ -210,11 +210,11 @@ class Collection:
         self._config = config
         self._rootpath = config.rootpath
         call, is_given = call_of(config), config.args_source is pytest.Config.ArgsSource.ARGS
-        is_listed = any(arg.startswith("@") for arg in call)  # in a file, which pytest has read
+        is_listed = any(arg.startswith("@") for arg in call)  # pytest has replaced it with the arguments in that file
         config.stash[GIVEN] = [arg for arg in config.args if is_given and (is_listed or arg in call)]
         here = config.invocation_params.dir
         if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR and here != config.rootpath:
-            config.stash[GIVEN] = [str(here)]  # pytest collects only what is in the folder of the call
+            config.stash[GIVEN] = [str(here)]  # pytest collects only the folder in which it was called
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
@@ -225,8 +225,8 @@ class Collection:
         return any(map(self._is_corpus, (collection_path, *collection_path.parents))) or None
 
     def _is_corpus(self, folder: Path) -> bool:
-        # The rootdir and the folders above it are no corpora, whatever their names are. A folder on the command line is
-        # one only if it has the default name.
+        # Neither the rootdir nor a folder above it is a corpus, regardless of its name. A folder on the command line is
+        # a corpus only if it has the default name.
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
         corpus = Path(self._corpus_name or "")
@@ -244,7 +244,7 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Generator[None]:
-        """Parametrize a marked test function with its search and with the saved scenarios that may belong to it."""
+        """Parametrise a marked test function with its search and with the saved scenarios that may belong to it."""
         if arguments_of(metafunc.definition) is None:
             return (yield)
         parametrize = metafunc.parametrize
@@ -262,8 +262,8 @@ class Collection:
         metafunc.parametrize = parametrize_repeated  # type: ignore[method-assign]
         yield
         if RUN not in metafunc.fixturenames or is_parametrised(metafunc, RUN):
-            return  # One item is left. It reports what is wrong when it is set up.
-        # The values differ, because other tools tell items apart by them. Nothing else reads them.
+            return  # Only one item is left. It reports the error during its set-up.
+        # The values differ, because other tools distinguish items by them. Nothing else reads them.
         saved = [
             pytest.param(part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)])
             for each in self._saved_by_id(metafunc.definition)
@@ -293,7 +293,7 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pycollect_makeitem(self) -> Generator[None, Any, Any]:
-        """Drop items whose saved scenario belongs to other parameters of the test."""
+        """Drop items whose saved scenario belongs to other parameter values of the test."""
         made = yield
         if not isinstance(made, list):
             return made
@@ -326,10 +326,10 @@ class Collection:
         """Find marked tests that pytest does not collect, and drop items that were not requested."""
         if MARKED and not self._config.getoption("lf", False):
             self._inventory.unnamed.update(marked_and_left(self._config, items))
-        # Before other plugins select tests, and again after them.
+        # Items are dropped before other plugins select tests, and again after that.
         self._deselect(items, self._is_beside_given)
         yield
-        # Under --lf, a search need not run again if its findings have become items since.
+        # Under --lf, a search need not run again if its findings have become items in the meantime.
         if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
             failed = self._config.cache.get("cache/lastfailed", {})
             known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
@@ -356,13 +356,13 @@ class Collection:
             items[:] = [item for item in items if item not in gone]
 
     def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> list[str]:
-        """Return lines with the number of searches and saved scenarios, and the number of runs."""
+        """Return lines with the numbers of searches, saved scenarios and runs."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
         if not searches and not saved:
             return []
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
-        # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.
+        # pytest rewrites the assertions of test files, conftest.py and plugins, so these assertions still run.
         off = "" if __debug__ else "with python -O, Python skips assertions in modules that pytest does not rewrite"
         first = "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
         cost = cost_line(self._config, [arguments_of(item) or {} for item in items if is_search(item)])
@@ -385,7 +385,7 @@ def saved_of(item: pytest.Item) -> Saved | None:
 
 
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
-    """Return whether the user has parametrized a test function with an argument."""
+    """Return whether the user has parametrised a test function with an argument."""
     for mark in metafunc.definition.iter_markers("parametrize"):
         names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
         if arg in ([name.strip() for name in names.split(",")] if isinstance(names, str) else names):
@@ -412,7 +412,7 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
         for each in marked:
             name = each.__qualname__
             owner = getattr(module, name.partition(".")[0], None)
-            # A class with subclasses is meant as a base of tests, and __test__ = False excludes a class on purpose.
+            # A class with subclasses is probably a base class, and __test__ = False excludes a class on purpose.
             is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
             is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
             if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
@@ -430,7 +430,7 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     from pytest_pafot.support.text import visible  # noqa: PLC0415
 
     if not file.is_file():
-        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but there is no file")
+        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
     corpus = value_if_right(config, "corpus")
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():

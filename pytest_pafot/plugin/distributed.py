@@ -18,7 +18,7 @@ KEY = "pafot"  # the key of this plugin's data in the input and the output of a 
 class _KeptEvents(Queue[Any]):
     """A queue that keeps an event until the next one is requested, so that an interrupt loses none."""
 
-    is_begun = False  # whether the first event has been given out
+    is_begun = False  # whether the first event has been handed out
 
     def _qsize(self) -> int:
         return len(self.queue) - self.is_begun
@@ -33,7 +33,7 @@ class _KeptEvents(Queue[Any]):
 class Controller:
     """Hooks of pytest-xdist's controller."""
 
-    _last: pytest.TestReport | None = None  # the last report that all have taken
+    _last: pytest.TestReport | None = None  # the last report that all plugins have received
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
@@ -51,10 +51,10 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
-        """Store which saved scenarios the first workers collected, so that later workers collect the same ones."""
+        """Store the saved scenarios that the first workers collected, so that later workers collect the same."""
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
-            # Under --dist=loadgroup the name of the group is appended.
+            # With --dist=loadgroup, pytest-xdist appends the name of the group.
             names = [node_id[: node_id.rfind("]") + 1] for node_id in ids]
             shared.frozen = frozenset(name for name in names if SAVED_PART in name)
             if shared.frozen or any(around(SEARCH_PART, name) for name in names):
@@ -63,7 +63,7 @@ class Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         output = getattr(node, "workeroutput", {}).get(KEY)
-        if output is None:  # It died.
+        if output is None:  # the worker died
             return
         for known, other in zip(node.config.stash[INVENTORY], json.loads(output), strict=True):
             known.update(other)

@@ -1,6 +1,6 @@
 """The guard against lost tests: on CI, a session fails if it skips a saved scenario or a marked test.
 
-Every saved scenario below the rootdir has to be run, or be deselected by name for this session.
+The session must run every saved scenario below the rootdir, unless the user deselects it by name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus.layout import (
     CORPUS,
     FOUND,
@@ -36,15 +35,16 @@ from pytest_pafot.corpus.layout import (
 )
 from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of, value_if_right
 from pytest_pafot.report.session import ADVICE, WHY_UNNAMED
+from pytest_pafot.searches.options import BY_NAME, OF_COMMAND
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural, visible
 
-MAX_FOLDERS = 10_000  # the number of folders in which saved scenarios are looked for
+MAX_FOLDERS = 10_000  # the maximum number of folders to search for saved scenarios
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error for saved scenarios that were not run."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error for marked tests that were not collected."""
-# Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
+# Matches only a node id, because the match is printed, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
 _BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
@@ -55,7 +55,7 @@ _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
 _CONFIGURED = ("pyproject.toml", "pytest.ini", "tox.ini", "setup.cfg", "setup.py", "package.json")
 """Files that mark the root of a project."""
 _SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "testmon", "picked")
-"""Options of pytest and plugins that run only a part of the tests."""
+"""Options of pytest and plugins that run only some of the tests."""
 
 
 _LISTING = ("collectonly", "setupplan", "setuponly", "showfixtures", "show_fixtures_per_test", "cacheshow")
@@ -72,10 +72,10 @@ class Guard:
         self._config = config
         self._session = config.stash[SESSION]
         self._ended: set[str] = set()  # node ids of the items that have run
-        self._failed: set[str] = set()  # those that have failed, and of new findings
+        self._failed: set[str] = set()  # node ids of failed items, and of new findings
         self._run: set[str] = set()  # the saved scenarios that were run, as reports name them
-        self._is_whole = False  # whether the session came to its end
-        # Why the session must not pass if something was not tested; empty if it may. A test may change the environment.
+        self._is_whole = False  # whether all items have run
+        # Why the session must fail if something was not tested, or empty. Stored, as a test may change the environment.
         self.cause = cause_of(config)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -84,18 +84,18 @@ class Guard:
         if report.failed:
             self._failed.add(report.nodeid)
         properties = dict(report.user_properties)
-        # An item that a mark or a hook has skipped has no result of its own, which has this name.
+        # The property is the result of a replay. An item that a mark or a hook has skipped has none.
         if report.failed or "pafot" in properties:
             self._run.add(str(properties.get("pafot_file", "")))
 
-    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside the hook in which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run and all workers of pytest-xdist have reported."""
         result = yield
         self._is_whole = True
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
-            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a mark of pafot ({self.cause}):"
+            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark ({self.cause}):"
             _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED)
         self._note_left()
         if fails := self._session.fails:
@@ -109,10 +109,10 @@ class Guard:
         """Reject an exit code of 0, for example from ``pytest.exit(returncode=0)``, if a policy failed."""
         inventory = self._config.stash[INVENTORY]
         if not self._is_whole and session.exitstatus in ENDS:
-            with self._session.faults("saved scenarios that were not run"):
+            with self._session.faults("the check for saved scenarios that were not run"):
                 self._note_left()
         unended = sorted(inventory.driven - self._ended)
-        # In a session in which no policy was to drive, tests may fail as its hooks want.
+        # If the session runs no policy, its hooks may hide failures of tests.
         is_meant = inventory.driven or inventory.unnamed or self._session.left
         named = unended or (sorted(self._failed) if is_meant else [])
         if not self.cause or session.exitstatus != pytest.ExitCode.OK or not named or _only_lists(self._config):
@@ -120,7 +120,7 @@ class Guard:
         what = "did not finish" if unended else "failed"
         session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
         self._session.problems.append(
-            f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session would end with exit code 0. It "
+            f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. It "
             f"ends with {int(session.exitstatus)} instead ({self.cause}). Does a test call pytest.exit(returncode=0), "
             "or does a plugin implement pytest_runtest_protocol?"
         )
@@ -128,16 +128,15 @@ class Guard:
     def _note_left(self) -> None:
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
-            return  # The command asks for one test. All others of the project are not collected.
-        left = [pair for pair in sorted(self._left_out()) if not self._is_chosen(*pair)]
+            return  # The command runs one test. It does not collect the other tests of the project.
+        left = [pair for pair in sorted(self._left_out()) if not self._is_excluded(*pair)]
         values = (config.getoption(name, None) for name in _SELECTING)
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
         may_fail = self._is_whole and self.cause and not is_partial and not value_if_right(config, "allow_orphans")
         names = [visible(relative(file, config.rootpath)) for file, _ in left]
         self._session.left, self._session.fails = names, names if may_fail else []
 
-    def _is_chosen(self, *paths: Path) -> bool:
-        """Return whether the command line excludes a saved scenario or its test file."""
+    def _is_excluded(self, *paths: Path) -> bool:
         config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
         patterns = [each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()]
         ignored = [
@@ -148,17 +147,17 @@ class Guard:
         places = {str(each) for path in paths for each in (path, *path.parents)}
         if any(each in places or fnmatch.filter(places, each) for each in ignored):
             return True
-        # A file, or a test in it, is a narrower choice than a folder, whose saved scenarios are all asked for.
+        # A file or a test on the command line excludes everything else. A folder requests all saved scenarios in it.
         folders = [folder for each in given if is_folder(folder := path_of(config, each))]
         return bool(given) and not any(path.is_relative_to(folder) for folder in folders for path in paths)
 
     def _left_out(self) -> Iterator[tuple[Path, Path]]:
         """Yield each saved scenario that was neither run nor deselected by name, with its test file.
 
-        The test file need not exist. A file outside a corpus is yielded twice.
+        The test file need not exist. A file outside a corpus counts as its own test file.
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
-        # First, the saved scenarios that were run, found just now, or deselected by name. They need not be reported.
+        # First, skip the saved scenarios that were run, newly found, or deselected by name.
         known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}  # reported later
         known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
@@ -166,7 +165,7 @@ class Guard:
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
         own += [corpus] if corpus.is_absolute() else []
         problems = self._session.problems if inventory.driven else []
-        # Second, all files of the project that may be saved scenarios, with whether they are in a corpus.
+        # Second, find all files of the project that may be saved scenarios, and whether they are in a corpus.
         found = dict(_files_below(top, own, asked, corpus, problems))
         if self.cause and (inventory.driven or found):
             found.update(dict.fromkeys(_not_in_checkout(top, corpus), True))
@@ -178,7 +177,7 @@ class Guard:
             test = _named_test(file)
             name = test.partition("::")[0]
             is_named = file.name.endswith(SUFFIX) or (test and (is_misnamed(file.name) or name_within(file.name)))
-            if is_inside:  # git may write a link to a folder as a text
+            if is_inside:  # git may write a link to a folder as a text file
                 packed = _ARCHIVE.fullmatch(file.name)
                 is_text = "." not in file.name and file.name.startswith((CORPUS, "test"))
                 is_ours = packed is not None and (SUFFIX in packed[1] or packed[1].startswith((CORPUS, "test")))
@@ -186,12 +185,12 @@ class Guard:
                 is_saved = is_named or is_text or is_packed or not os.path.isfile(file)  # noqa: PTH113  (see is_folder)
             else:
                 is_saved = is_named and test and os.path.lexists(top / name)
-            # In a corpus of the session only a backup is a copy, since the folder says whose scenario a file is.
+            # In a corpus of the session, only a backup is a copy, because the folder determines the test of a file.
             may_be_copy = name_within(file.name) or not any(map(file.is_relative_to, own))
             if not is_saved or (may_be_copy and (name_within(file.name) or file.name, test) in copies):
                 continue
             owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
-            # The rootdir of the session that saved the file, by the name of the test. A vendored project has its own.
+            # The rootdir of the session that saved the file, from the name of the test. A vendored project has its own.
             project = next((each for each in owner.parents if name and each / name == owner), top)
             is_asked_for = project == top or any(each.is_relative_to(project) for each in (*own, *asked))
             if is_asked_for or not any(os.path.lexists(project / each) for each in _CONFIGURED):
@@ -203,10 +202,10 @@ def _files_below(
 ) -> Iterator[tuple[Path, bool]]:
     """Yield possible saved scenarios below some folders, and whether they are in a corpus.
 
-    The folders in ``own`` are corpora, ``top`` and those in ``asked`` are not.
+    The folders in ``own`` are corpora. ``top`` and the folders in ``asked`` are not.
     """
-    # No link to a folder is followed, since it may lead anywhere. A folder of a corpus that cannot be listed is yielded
-    # itself.
+    # Links to folders are not followed, because they may lead anywhere. If a folder of a corpus cannot be listed, the
+    # folder itself is yielded.
     queue = deque([*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)])
     starts, names = set(queue), {CORPUS, corpus.name}
     seen: set[tuple[str, bool]] = set()
@@ -233,7 +232,7 @@ def _files_below(
                     queue.append((path, is_below))
             elif is_inside or "pafot" in name.lower():
                 file = Path(path)
-                if not is_folder(file):  # An archive of a corpus, or a link that is a text, is in its place.
+                if not is_folder(file):  # A corpus may be an archive, or a link that git wrote as a text file.
                     yield file, is_inside or name.partition(".")[0] == CORPUS
                 elif name == CORPUS and file != corpus and not is_inside_project(file, top):
                     problems.append(refusal(file))
@@ -248,7 +247,7 @@ def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
 
     above = Path(os.path.realpath(top))
     if not any(os.path.lexists(each / ".git") for each in (above, *above.parents)):
-        return  # no repository, which git would take some milliseconds to say
+        return  # no repository; git would need some milliseconds to report that
     with suppress(RequestError):  # no git
         for entry in git(top, "ls-files", "-s", "-z").split("\0"):
             place = top / entry.partition("\t")[2]
@@ -276,7 +275,7 @@ def _only_lists(config: pytest.Config) -> bool:
 
 
 def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> None:
-    """Report an error of the session like the error of an item."""
+    """Report an error of the session as a failed item."""
     try:
         pytest.fail(f"{line}\n  {advice}", pytrace=False)
     except pytest.fail.Exception as error:

@@ -13,9 +13,6 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.events import Note
-from pytest_pafot.campaign.options import BY_NAME, is_ci
-from pytest_pafot.campaign.request import AgainstError, Request, check_names, checked_request
 from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by, records_of
 from pytest_pafot.execution.pool import GRACE
@@ -38,6 +35,9 @@ from pytest_pafot.plugin.messages import set_saved_properties
 from pytest_pafot.plugin.replay_item import run_replay
 from pytest_pafot.plugin.search_item import run_search
 from pytest_pafot.plugin.session import SHARED, is_worker, report_on, resolve, uncaptured
+from pytest_pafot.searches.events import Note
+from pytest_pafot.searches.options import BY_NAME, is_ci
+from pytest_pafot.searches.request import AgainstError, Request, check_names, checked_request
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.text import meant, visible, wrapped_to
@@ -70,23 +70,23 @@ class Checks:
             request = request_of_mark(item.config, arguments)
             _check_parameters(item, request)
         except RequestError as error:
-            raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
+            raise pytest.fail.Exception(str(error), pytrace=False) from None  # otherwise twice
         item.stash[REQUEST] = request
         # A search without runs still has to run a scenario in which an earlier session died.
         is_idle = is_search(item) and not request.settings.is_search
-        with REPLACED.shown(False):  # by a fixture of the module
+        with REPLACED.shown(False):  # a fixture of the module may have replaced functions
             is_idle = is_idle and not left_by(base_id(item), records_of(item.config.rootpath))
         if is_idle:
             option = BY_NAME["runs" if request.settings.runs == 0 else "generations"]
-            if item.config.getoption(option.key) is None:  # easily forgotten
-                messages.send(item, Note(f"no search ran, because {option.key} is 0 in the settings"))
+            if item.config.getoption(option.key) is None:  # easily forgotten, unlike an option
+                messages.send(item, Note(f"no search ran, because {option.key} is 0 in the configuration file"))
             pytest.skip(f"{IDLE}: {flag(option.name, 0)}")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Explain a missing fixture of the ADS, and report skipped items on CI."""
+        """Explain a missing fixture of the policy, and report skipped items on CI."""
         report = yield
         request = item.stash.get(REQUEST, None)
         if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
@@ -127,8 +127,8 @@ def _check_function(item: pytest.Item) -> None:
     if not asserts_run(inspect.unwrap(item.obj)):
         raise RequestError(
             "expected a test whose assertions run, but Python skips them with -O or PYTHONOPTIMIZE. pytest does not "
-            "rewrite this test, because of --assert=plain or because it is from another module. Run Python without -O "
-            "and PYTHONOPTIMIZE"
+            "rewrite this test, because of --assert=plain or because the test is from another module. Run Python "
+            "without -O and PYTHONOPTIMIZE"
         )
 
 
@@ -161,11 +161,11 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
     hint = meant(name, available) or "."
     text = (
-        f"the fixture {name!r}, which returns the ADS factory, was not found{hint}\n"
+        f"the fixture {name!r}, which returns the factory of the policy, was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"
         "    @pytest.fixture\n"
         f"    def {name}():\n"
-        "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
+        "        return lambda: MyPlanner()    # a new policy for each scenario\n\n"
         'Or name another fixture with @pafot.search(ads="..."), or pass a factory: @pafot.search(ads=MyPlanner).'
     )
     lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
@@ -199,7 +199,7 @@ class Execution:
         if call.excinfo is not None and report.passed and is_driven(item):
             report.outcome = "failed"
             report.longrepr = report.longrepr or item.repr_failure(call.excinfo)
-            text = "a hook pytest_runtest_makereport reported this failure as passed; use xfail or corpus accept"
+            text = "a pytest_runtest_makereport hook reported this failure as passed. Use xfail or `corpus accept`"
             report.sections.append(("pafot", text))
         return report
 
@@ -223,33 +223,33 @@ class Execution:
         return True
 
 
-# The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.
+# The end of a session if a policy ignores interrupts: the findings so far are reported, and the process ends.
 #
-# The scenario is already on disk, and the next session runs it. Under pytest-xdist only the worker ends, and it is
+# The scenario is already on disk, and the next session runs it. Under pytest-xdist, only the worker ends. It is
 # replaced like a worker that crashed.
 
 STATUS = pytest.ExitCode.INTERRUPTED
-"""The exit status of a session that ended because its ADS hung."""
+"""The exit status of a session that ended because the policy hung."""
 
-FLUSH = 120.0  # the longest time for the summary, since plugins may wait for something that the ADS holds [s]
+FLUSH = 120.0  # the maximum time for the summary, because plugins may wait for something that the policy holds [s]
 SHOWN = 6  # the number of innermost frames that are printed
 
 
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
-    """End the session if the ADS hangs in this context and ignores interrupts."""
+    """End the session if the policy hangs in this context and ignores interrupts."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
         with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
             yield
     finally:
         if file is not None:
-            with REPLACED.shown(False):  # by the test function itself
+            with REPLACED.shown(False):  # the test function may have replaced it
                 os.close(file)
 
 
 def _end(item: pytest.Item, thread: int) -> None:
-    # The session ends even if a report waits for something that the ADS holds.
+    # The session ends even if a report waits for something that the policy holds.
     limit = threading.Timer(FLUSH, os._exit, (STATUS,))
     limit.daemon = True
     limit.start()
@@ -264,17 +264,17 @@ def _end(item: pytest.Item, thread: int) -> None:
 
 
 def _flush(item: pytest.Item, stack: str) -> None:
-    """Report the stuck item and end the session. The thread of the item is stuck, so another one calls this."""
+    """Report the stuck item and end the session. Another thread calls this, because the item blocks its own."""
     reason = (
-        f"{item.nodeid}: the ADS or its environment exceeded its time limit and ignores every interrupt, so "
-        "this session has to end. The next session will run the scenario again in a separate process, and save it. "
+        f"{item.nodeid}: the policy or its environment exceeded the time limit and ignores interrupts, so "
+        "this session must end. The next session will run the scenario again in a separate process, and save it. "
         f"With {flag('isolate')}, a search continues after such a hang"
     )
-    told = f"{reason}.\n\nThe stack of the ADS, innermost call last:\n{stack}"
+    told = f"{reason}.\n\nThe stack of the policy, innermost call last:\n{stack}"
     report = report_on(item, "call", outcome="failed", longrepr=told)
     item.ihook.pytest_runtest_logreport(report=report)
     try:
-        pytest.exit(f"the ADS or its environment hangs in {item.nodeid}. See its failure", returncode=STATUS)
+        pytest.exit(f"the policy or its environment hangs in {item.nodeid}. See the failure report", returncode=STATUS)
     except pytest.exit.Exception:
         item.config.hook.pytest_keyboard_interrupt(excinfo=pytest.ExceptionInfo.from_current())
     item.session.exitstatus = STATUS
@@ -294,7 +294,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     """Return the checked request for the arguments of a mark.
 
     Raises:
-        RequestError: on the first wrong argument or option.
+        RequestError: for the first invalid argument or option.
     """
     given = {"ads": DEFAULT_ADS, **arguments}
     positional = given.pop(POSITIONAL, ())

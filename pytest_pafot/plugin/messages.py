@@ -15,8 +15,8 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
+from pytest_pafot.algorithms.plain import plain
 from pytest_pafot.attribution.sentences import ALSO
-from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.findings.decisions import sentences_of
@@ -24,17 +24,17 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import Check, Run
 from pytest_pafot.plugin.collection import base_id, is_driven, saved_of
 from pytest_pafot.plugin.session import AS_SAVED, PHASE, SHARED, report_on
-from pytest_pafot.searching.plain import plain
+from pytest_pafot.searches.harness import collision_in_short
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.options import Settings
     from pytest_pafot.model.trace import Trace
     from pytest_pafot.report.session import Event
+    from pytest_pafot.searches.options import Settings
 
 
 def packed(value: object) -> str:
-    """Return a value as ASCII, because pytest-xdist cannot send invalid characters."""
+    """Return a value as JSON in ASCII, because pytest-xdist cannot send invalid characters."""
     return json.dumps(plain(value))
 
 
@@ -60,7 +60,7 @@ def send_seen(
     sentences: tuple[str, ...] = ()
     if seen.headline and seen.run is not None:
         sentences = sentences_of(seen.run, seen.finding.expect)
-        if sentences and check is not None:  # What both did is about the collision, and not about the check.
+        if sentences and check is not None:  # The sentences are about the collision, not about the check.
             sentences = (f"{ALSO} {collision_in_short(seen.run)}.",)
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     # The view of the page is large, so it is created only if a page was requested.
@@ -86,8 +86,8 @@ class OfOneRun:
     """The properties that a test records with ``record_property`` in one run."""
 
     properties: Properties  # of the item
-    _shown: list[tuple[str, Any]] = field(default_factory=list)  # those of one call, which are among the item's
-    # by the trace, which a run keeps when more becomes known of it
+    _shown: list[tuple[str, Any]] = field(default_factory=list)  # from the last call, also in `properties`
+    # by trace, because a run may be replaced by one with more facts, but the same trace
     _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
 
     @contextmanager
@@ -101,9 +101,9 @@ class OfOneRun:
             self._shown = self._recorded[run.trace] = list(self.properties[count:])
 
     def show(self, run: Run | None, properties: Properties | None = None) -> None:
-        """Replace the properties of the last call with those of a run, or with none.
+        """Replace the properties of the last call with the properties of a run, or with none.
 
-        ``properties`` are those of a report, by default those of the item.
+        ``properties`` is the list that changes, by default the item's.
         """
         changed = self.properties if properties is None else properties
         shown = [] if run is None else self._recorded.get(run.trace, [])
@@ -124,14 +124,14 @@ def set_properties(properties: Properties, **values: object) -> None:
 
 
 def set_saved_properties(item: pytest.Item, saved: Saved) -> None:
-    """Add seed, id, signature and file of a saved scenario to the item's properties."""
+    """Add the seed, id, signature and file of a saved scenario to the item's properties."""
     finding, file = saved.finding, relative(saved.path, item.config.rootpath)
     seed, signature = (None, None) if finding is None else (finding.found.seed, finding.signature.text)
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
 def finding_properties(sightings: Iterable[Seen]) -> dict[str, str]:
-    """Return the properties of findings in pytest's reports, separated by commas."""
+    """Return the properties that describe findings, as lists separated by commas."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for each in sightings:
         texts = (each.id, each.finding.signature.text, each.path, str(each.severity or "none"))
@@ -143,17 +143,16 @@ def finding_properties(sightings: Iterable[Seen]) -> dict[str, str]:
 # The failure report of an item, and its output.
 
 REPLAYED = pytest.StashKey[bool]()
-"""Whether the scenario of an item was replayed."""
+"""True if the scenario of an item was replayed."""
 
 NOT_ACCEPTED = pytest.StashKey[str]()
 """The difference between the failure of a replay and the accepted failure."""
 
 OUTPUT_END = 10_000
-"""The length of the start and of the end of captured output in a report [characters]."""
+"""The number of characters of captured output that a report keeps from each end."""
 
-# pytest colours the difference of two values with these codes. In other places they could hide a message.
+# A colour code, with which pytest marks differences. In other places, it could hide a message.
 _COLOUR = re.compile("\x1b\\[[0-9;]*m")
-"""A colour code of the terminal."""
 
 
 class KeptOutput:
@@ -163,14 +162,14 @@ class KeptOutput:
         self._item = item
         self._capture = item.config.pluginmanager.get_plugin("capturemanager")  # None if another plugin replaces it
         self._process = getpid()
-        # pytest keeps the output of each item to the end of the session, and a policy that prints at each decision
-        # prints gigabytes. So only the start and the end are kept.
-        self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # beginning, end, characters between them
+        # pytest keeps the output of each item until the session ends, and a policy that prints at each decision prints
+        # gigabytes. So only the start and the end are kept.
+        self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # start, end, characters between them
 
     def read(self) -> None:
-        """Take the new output out of pytest's capture."""
+        """Take new output from pytest's capture."""
         if self._capture is None or getpid() != self._process:
-            return  # A process that was forked from this one writes to the same file, which this one reads.
+            return  # This process was forked. The original process reads the file, to which both write.
         for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
             begin, end, left_out = self._texts[key]
             begin, end = begin + text[: OUTPUT_END - len(begin)], end + text[OUTPUT_END - len(begin) :]
@@ -178,7 +177,7 @@ class KeptOutput:
             self._texts[key] = begin, end[too_long:], left_out + too_long
 
     def give_back(self) -> None:
-        """Add the output to the item's report, as pytest does."""
+        """Add the output to the report of the item, as pytest does."""
         self.read()
         for key, (begin, end, left_out) in self._texts.items():
             text = f"{begin}{end}"
@@ -211,7 +210,7 @@ class Failures:
             if marked:
                 _shorten_output(report)
             return report
-        # A search may find dozens of failures, and pytest prints each several times. Frames are in full with -v.
+        # A search may find dozens of failures, and pytest prints each several times. With -v, frames are complete.
         option, is_brief = item.config.option, item.config.get_verbosity() <= 0  # the saved file has the rest
         style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
         if is_brief and call.when == "call" and style == "auto":
@@ -241,14 +240,14 @@ def _shorten_output(report: pytest.TestReport) -> None:
 
 
 def _shortened(begin: str, end: str, left_out: int) -> str:
-    line = f"[{left_out} characters of output are omitted; run pytest -s without workers to see all of them]"
+    line = f"[{left_out} characters of output are omitted; run pytest -s without workers to see the complete output]"
     return f"{begin}\n{line}\n{end}"
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
     """Count an item with an accepted failure as failed if it fails in another way."""
     is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
-    # The mark xfail would also accept an error of a fixture or of the factory.
+    # The mark xfail would also accept an error in a fixture or in the factory.
     is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash
     if is_accepted and is_other and hasattr(report, "wasxfail"):
         report.outcome = "failed"
@@ -265,7 +264,7 @@ def _make_visible(report: pytest.TestReport) -> None:
     if hasattr(report, "wasxfail"):
         report.wasxfail = visible_lines(report.wasxfail)
     crash = getattr(report.longrepr, "reprcrash", None)
-    if crash is not None:  # pytest's short summary has its first line
+    if crash is not None:  # pytest's short summary shows its first line
         crash.message = visible_lines(_COLOUR.sub("", crash.message))
 
 

@@ -9,11 +9,6 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.events import Note
-from pytest_pafot.campaign.harness import Cause, SetupFaultError, cause_of, headline
-from pytest_pafot.campaign.replays import Replays, event_change, happened
-from pytest_pafot.campaign.request import Request
-from pytest_pafot.campaign.store import cause
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
@@ -26,6 +21,11 @@ from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, set_properties
 from pytest_pafot.plugin.search_item import exception_for_pytest, harness_of, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
+from pytest_pafot.searches.events import Note
+from pytest_pafot.searches.harness import Cause, SetupFaultError, cause_of, headline
+from pytest_pafot.searches.replays import Replays, event_change, happened
+from pytest_pafot.searches.request import Request
+from pytest_pafot.searches.store import cause
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 from pytest_pafot.world.driving.policy import wrap_ads
@@ -33,7 +33,7 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import Around
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
-"""The items that have explained an error of the set-up, by test and cause."""
+"""The items that have explained an error in the set-up, by test and cause."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
@@ -47,14 +47,14 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     watch_again(item, is_elsewhere=replays.is_apart(saved, item.nodeid))
     if request.settings.debug:
         stop_in_replay(item, replays, saved)
-    if NOT_ACCEPTED in item.stash:  # left by the first try of an item that is tried again
+    if NOT_ACCEPTED in item.stash:  # left by an earlier attempt, if another plugin reruns the item
         del item.stash[NOT_ACCEPTED]
-    # Runs the scenario, and evaluates the run with the test function.
+    # Run the scenario, and evaluate the run with the test function.
     now = replays.observed(saved, item.nodeid)
     for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if now.run is not None and (why := now.run.trace.users_error_text):
-        pytest.fail(f"the replay cannot show whether the ADS drives well: {visible(why)}", pytrace=False)
+        pytest.fail(f"the replay cannot show whether the policy drives well: {visible(why)}", pytrace=False)
     if now.run is not None:
         _check_set_up(item, replays, saved, *now.ran)
     raised = None if now.verdict is None else now.verdict.exception
@@ -64,16 +64,16 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     else:
         run, verdict = now.ran
         line, happening = headline(run, verdict) if verdict.failed else "", happened(finding, run, verdict.failure)
-    # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
+    # The mark xfail of the item accepts every exception, so the report must know that this one is not accepted.
     if now.beyond:
         item.stash[NOT_ACCEPTED] = now.beyond
     detail = _detail(replays, finding, now, happening)
     item.stash[REPLAYED] = True
     # The controller is informed before the item can end with an exception.
     sighting = _send(item, replays, saved, finding, now, line, detail)
-    item.stash[OF_ONE_RUN].show(now.run)  # the last call may have been for the reference
+    item.stash[OF_ONE_RUN].show(now.run)  # the last call may have evaluated the reference
     if finding.xfail is not None and not now.fails:
-        # A flaky file stays accepted: it passes by chance.
+        # A flaky scenario stays accepted, because it may have passed by chance.
         if not now.is_unsteady:
             _add_section(item, [f"{sighting.label}: remove the line `xfail:` from {sighting.path}"])
         elif now.is_accepted:
@@ -90,13 +90,13 @@ def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -
     """Return the differences between a replay and the file, and the result of the reference."""
     reference = "" if now.reference_passes is None else f", which {'passes' if now.reference_passes else 'fails'}"
     name = replays.harness.against_name
-    notes = [f"against {name}{reference}" if name else ""]
+    notes = [f"compared with {name}{reference}" if name else ""]
     if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
         missed = "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
         return "; ".join(filter(None, [missed, replays.changes(finding, happening), *notes, now.note]))
     if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
         notes.append(f"worse: {now.verdict.worsening}")
-    # A collision with the same vehicle is the same failure at any time, so the text says when it is now.
+    # A collision with the same vehicle is the same failure at any time, so the note states the new time.
     is_first = now.fails and not now.is_later and now.rate is None
     if is_first and now.run is not None and abs(now.run.event_time - finding.expect.time) > SAME_TIME:
         notes.append(event_change(finding, happening))
@@ -109,7 +109,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     cause, finding = cause_of(run, verdict), saved.finding
     if cause is None or verdict.failure is None or finding is None:
         return
-    if of_failure(run, verdict.failure) == finding.signature:  # the file was saved for it
+    if of_failure(run, verdict.failure) == finding.signature:  # this is the saved failure
         return
     key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
     line = ascii_text(headline(run, verdict))
@@ -141,10 +141,10 @@ def _send(
     sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")
-    # The item fails again from that day on, and nobody may remember why it did not before.
+    # From that day, the item fails again. The warning reminds the user of the reason.
     if finding.xfail is not None and not replays.accepts(finding):
         over = (
-            f"{path}: accepted ({finding.accepted}), but that day has passed: correct the failure, write a later day, "
+            f"{path}: accepted ({finding.accepted}), but that day has passed. Correct the failure, write a later day, "
             "or remove the line `xfail:`"
         )
         messages.send(item, Note(over, "warning"))
@@ -160,7 +160,7 @@ def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
 
 
 def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
-    """Raise the exception for a replay that did not fail, for example a skip."""
+    """End a replay that did not fail, possibly with an exception such as a skip."""
     __tracebackhide__ = True
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
@@ -171,17 +171,17 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
             f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
         )
     if verdict.kind == "invalid":
-        pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the ADS was not tested")
+        pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested")
 
 
 # The debugger in the decision of a policy that could have avoided a failure, for ``--pafot-debug``.
 
 ANY_TIME = 86_400.0
-"""The time limit for a decision in a debugger, which is the longest of a world [s]."""
+"""The time limit for a decision in a debugger, the longest that a world allows [s]."""
 
 
 class Stopping(Around):
-    """An ADS with a breakpoint in one decision."""
+    """A policy with a breakpoint in one decision."""
 
     def __init__(self, ads: Any, number: int, header: str) -> None:
         super().__init__(ads)
@@ -195,7 +195,7 @@ class Stopping(Around):
 
 
 def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> None:
-    """Run a saved scenario, and again with the debugger in the decision that could have avoided the failure.
+    """Run a saved scenario twice, and start the debugger in the decision that could have avoided the failure.
 
     Raises:
         RequestError: if there is no such decision, or no terminal for a debugger.
@@ -208,7 +208,7 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
         raise RequestError(f"{name}: expected a policy that decides, received a vehicle class without decisions")
     if finding.expect.is_crash:
         raise RequestError(
-            f"{name}: expected a policy that drives, but its process dies in this scenario. See the output"
+            f"{name}: expected a policy that drives, but its process dies in this scenario. See its output"
         )
     world = replace(replays.world_of(saved), hang_limit=ANY_TIME)  # type: ignore[type-var]
     run, _ = replays.tried(saved, world, item.nodeid)

@@ -1,4 +1,4 @@
-"""The output of the controller: the terminal, the JSON file, the page and the summary of a CI job."""
+"""The output of the controller: the terminal, the JSON file, the page, and the summary of a CI job."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.plugin.collection import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import (
@@ -30,19 +29,20 @@ from pytest_pafot.plugin.session import (
     value_if_right,
 )
 from pytest_pafot.report.session import RESULTS, Session
+from pytest_pafot.searches.options import BY_NAME
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.compiled import PACKAGE
 from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.text import ascii_text
 
 SUMMARY = "GITHUB_STEP_SUMMARY"
-"""The environment variable with the summary file of a step in GitHub Actions."""
+"""The environment variable with the path of the summary file in GitHub Actions."""
 QUICK, REST = 0.1, 10
-"""The duration after which writing the JSON file is slow [s], and the factor for the pause that follows."""
+"""The duration above which a write of the JSON file is slow [s], and the factor for the pause after it."""
 
 
 class Files:
-    """The writer of the files."""
+    """The writer of the JSON file, the page and the job summary."""
 
     def __init__(self, config: pytest.Config, clock: Callable[[], float] = monotonic) -> None:
         self._config = config
@@ -66,12 +66,12 @@ class Files:
             with self._session.faults(f"{flag('report', target)}: not written"):
                 self._write_page(target)
         elif asked and not self._is_listed:
-            problem = f"{flag('report', asked)}: not written, because no search and no replay ran"
+            problem = f"{flag('report', asked)}: not written, because neither a search nor a replay ran"
             self._session.problems.append(problem)
         self.write_json()
         path, of = os.environ.get(SUMMARY), self._session
         if not path or self._is_listed or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left)):
-            return  # A session without anything to report imports nothing for it.
+            return  # A session without anything to report imports no modules for it.
         with of.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
@@ -93,7 +93,7 @@ class Files:
         lines.append(f"{flag('report', target)}: not written: {problem}" if problem else f"report: {target} ({told})")
 
     def write_json(self) -> None:
-        """Write the JSON file, unless the last writing was slow and the session continues."""
+        """Write the JSON file, except shortly after a slow write during the session."""
         began, is_over = self._clock(), self._session.exit is not None
         if self._json is None or (not is_over and began < self._next):
             return
@@ -102,15 +102,15 @@ class Files:
 
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._json))
         if not is_over and is_stream(path):
-            return  # It keeps all that it receives, so it receives only the last record.
+            return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
         problem = not_written(self._config, self._json, path.parent, lambda: write_whole(path, text))
-        # A session with a thousand findings would write most of the time. So the file is written less often, and a
-        # killed session may leave it without its last findings. Their corpus files are on disk.
+        # A session with a thousand findings would spend most of its time here, so the file is written less often. If
+        # the session is killed, the last findings may be missing from the file, but they are in the corpus.
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
-        if is_over:  # A problem is reported once, at the end.
+        if is_over:  # Report a problem only once, at the end.
             lines = self._session.problems if problem else self._session.written
             lines.append(f"{flag('json', self._json)}: not written: {problem}" if problem else f"json: {self._json}")
 
@@ -131,10 +131,10 @@ class LiveTerminal:
 
     @property
     def rewrites(self) -> bool:
-        """Whether the line of progress can be overwritten."""
+        """True if the line of progress can be overwritten."""
         if self.writer is None or self.is_parallel:
             return False
-        is_terminal = self.writer.isatty  # a value in earlier versions of pytest, a method in later ones
+        is_terminal = self.writer.isatty  # an attribute in earlier versions of pytest, a method in later versions
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
@@ -164,7 +164,7 @@ class LiveTerminal:
             return
         with uncaptured(self._config):
             self.writer.ensure_newline()
-            if self._config.get_terminal_writer().width_of_current_line:  # pytest-xdist leaves the dots' line open
+            if self._config.get_terminal_writer().width_of_current_line:  # pytest-xdist leaves the line of dots open
                 self.writer.line("")
             for line in lines:
                 self.writer.write_line(ascii_text(line))
@@ -196,12 +196,12 @@ class Reporter:
             self._take_phase(report)
             self._live.erase_progress()
             if report.failed and report.when == "call":
-                with self._record.faults(f"block on {report.nodeid}"):
+                with self._record.faults(f"the report on {report.nodeid}"):
                     self._show_block(report)
         result = yield
         if message is not None:
             self._take(report, *message)
-            # pytest stores every report to the end of the session: those without a result as well, under no name.
+            # pytest stores every report until the session ends. Under the empty name are those without a result.
             stored = getattr(self._live.writer, "stats", {}).get("", [])
             if stored and stored[-1] is report:
                 stored.pop()
@@ -211,10 +211,10 @@ class Reporter:
 
     def _show_block(self, report: pytest.TestReport) -> None:
         """Replace pytest's text for a failure with a block on the finding."""
-        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
+        from pytest_pafot.searches.events import Ending  # noqa: PLC0415
 
-        # Three cases: pytest's text and the block, the block alone, or no text for a search, whose findings have one.
+        # Three cases: pytest's text and the block, only the block, or no text for a search whose findings have blocks.
         search, seen = self._record.searches.get(report.nodeid), self._record.seen.get(report.nodeid)
         option, is_whole = self._config.option, self._config.get_verbosity() > 0
         if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
@@ -222,7 +222,7 @@ class Reporter:
         if seen is None or not seen.headline:
             return
         crash: Any = getattr(report.longrepr, "reprcrash", None)
-        # An exception that was raised in another process, or in another run, has no place in the test.
+        # An exception from another process or another run has no position in the test.
         file = None if crash is None or PACKAGE in Path(crash.path).parents else Path(crash.path)
         place = "" if file is None else f"{relative(file, self._config.rootpath)}:{crash.lineno}"
         lines = terminal.block_lines(
@@ -249,12 +249,12 @@ class Reporter:
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         node_id, record, when = report.nodeid, self._record, str(report.when)
-        if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
+        if when == "???":  # pytest-xdist: the worker died, so the item has no result and sends no events
             record.reasons.setdefault(node_id, str(report.longrepr))
             return
         if SEARCH_MARK not in report.keywords:
             return
-        if when == "call" or not report.passed:  # A setup that passed is not yet a result.
+        if when == "call" or not report.passed:  # A passed set-up is not a result yet.
             result = "failed" if when == "call" else "error"
             if not report.failed:
                 result = "passed" if not report.skipped else "xfailed" if hasattr(report, "wasxfail") else "skipped"
@@ -268,7 +268,7 @@ class Reporter:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Set the interval of progress reports, and fail a session with a reference that cannot be compared."""
+        """Set the interval of progress reports, and fail the session if a reference cannot be compared."""
         self._session = session
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
@@ -279,7 +279,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return how pytest counts and prints a replay that passes."""
+        """Return how pytest reports a replay that passes."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         shown = dict(report.user_properties).get("pafot")
@@ -289,11 +289,11 @@ class Reporter:
     def pytest_sessionfinish(self) -> None:
         """Report the remaining findings."""
         self._live.erase_progress()
-        # After an interrupt or the death of a worker, a search with new findings has had no teardown.
+        # If an interrupt or a dead worker prevented the teardown of a search, its findings are still to be reported.
         for node_id in list(self._pending):
-            with self._record.faults(f"report of what {node_id} found"):
+            with self._record.faults(f"the report of the findings of {node_id}"):
                 self._expand(node_id)
-        with self._record.faults("records of processes that died"):
+        with self._record.faults("the records of processes that died"):
             if self._record.is_driven:
                 self._record.problems.extend(unclaimed(self._config))
 
@@ -304,7 +304,7 @@ class Reporter:
         said = (record.unnamed, record.left, record.notes, record.warnings, record.problems, record.written)
         if not any((record.is_driven, *said)):
             return
-        with own.faults("summary of pytest-pafot"):
+        with own.faults("the summary of pytest-pafot"):
             from pytest_pafot.report import terminal  # noqa: PLC0415
 
             terminalreporter.section("pafot")
@@ -319,24 +319,24 @@ class Reporter:
             terminalreporter.line(ascii_text(line))
 
     def _take(self, report: pytest.TestReport, kind: str, text: str, more: dict[str, Any]) -> None:
-        from pytest_pafot.campaign.events import Progress, Search  # noqa: PLC0415
         from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
+        from pytest_pafot.searches.events import Progress, Search  # noqa: PLC0415
 
         record, event = self._record, terminal.event_of(kind, text)
         is_first = isinstance(event, Seen) and event.node_id not in record.seen
         record.add(event, report.nodeid, more.get("view", ""))
         match event:
             case Search() if not event.reason:
-                # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session
-                # ends early.
+                # Under pytest-xdist, no line about the collection is printed, but the user needs the seed even if the
+                # session ends early.
                 if self._live.is_parallel and len(record.searches) == 1 and self._config.get_verbosity() >= 0:
                     base = base_line(self._config)
                     self._live.write([f"pafot: {base}"] if base else [])
             case Search():
                 self._files.write_json()
             case Progress():
-                # A log keeps every line, and simplifying has hundreds of runs.
+                # A log keeps every line, and simplifying a finding takes hundreds of runs.
                 if self._live.rewrites or not event.phase:
                     self._live.show_progress(partial(terminal.progress_line, event))
             case Seen() if event.observed.new == "new":

@@ -15,25 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.events import (
-    Ending,
-    Note,
-    Progress,
-    Search,
-    SearchEvent,
-    SearchStarted,
-)
-from pytest_pafot.campaign.harness import Harness, PlainFailure, Test, checked_factory, reference_of, source_file
-from pytest_pafot.campaign.options import BUDGETS, BY_NAME, Settings
-from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, build_world
-from pytest_pafot.campaign.search_session import (
-    AFTER_A_DEATH,
-    Events,
-    SearchSession,
-    isolated_after_a_death,
-    prepared,
-)
+from pytest_pafot.algorithms.evaluation import GenerationFinished
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.runner import ExecutionError
@@ -45,7 +27,25 @@ from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, finding_p
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
-from pytest_pafot.searching.evaluation import GenerationFinished
+from pytest_pafot.searches.events import (
+    Ending,
+    Note,
+    Progress,
+    Search,
+    SearchEvent,
+    SearchStarted,
+)
+from pytest_pafot.searches.harness import Harness, PlainFailure, Test, checked_factory, reference_of, source_file
+from pytest_pafot.searches.options import BUDGETS, BY_NAME, Settings
+from pytest_pafot.searches.replays import Replays
+from pytest_pafot.searches.request import Request, build_world
+from pytest_pafot.searches.search_session import (
+    AFTER_A_DEATH,
+    Events,
+    SearchSession,
+    isolated_after_a_death,
+    prepared,
+)
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.files import remove_unfinished
@@ -60,7 +60,7 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders from which this session has removed unfinished files."""
 
 CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
-"""The workers of ``--pafot-dask``, or the error of the connection."""
+"""The workers of ``--pafot-dask``, or the error of a failed connection."""
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
 
@@ -73,18 +73,18 @@ OF_ONE_CALL = {
     "pytest_codspeed": "can be called only once in a test",
     "syrupy": "numbers its snapshots by the calls in a test",
 }
-"""Packages with fixtures that fail in a second call of the test function, with the reason."""
+"""Packages with fixtures that work in only one call of the test function, with the reason."""
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
-    """Return the harness for a marked item, after its fixtures are set up.
+    """Return the harness for a marked item. The item's fixtures must be set up.
 
     ``writes`` is True if the item may save scenarios.
 
     Raises:
-        RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
+        RequestError: if a fixture returns an unusable value, or if scenarios would be saved behind a link.
     """
-    # The world first, because the versions of its packages are part of the harness.
+    # Build the world first, because the versions of its packages are part of the harness.
     world = build_world(request, item.funcargs[collection.WORLD_FIXTURE])
     name, root = collection.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
@@ -94,10 +94,10 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
         tidied.add(folder)
         remove_unfinished(folder)
-    # A search that saves nothing may look through a link.
+    # A search that saves nothing may read through a link.
     if link is not None and writes and request.settings.save != "none":
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
-    # Processes of processes would be as many as the product of both numbers.
+    # Otherwise, the number of processes would be the product of both numbers of workers.
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, Note(IN_WORKER))
         request = replace(request, settings=replace(request.settings, workers=1))
@@ -121,7 +121,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
 
 
 def watch_again(item: pytest.Function, *, is_elsewhere: bool) -> None:
-    """Have pytest-testmon run an item again in the next session if other processes run it."""
+    """Make pytest-testmon run an item again in the next session if other processes run its scenarios."""
     collector = item.config.pluginmanager.get_plugin("TestmonCollect")
     if is_elsewhere and collector is not None:
         collector.testmon.discard_current()
@@ -148,7 +148,7 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
 
 
 def policy_of(item: pytest.Item) -> Callable[..., Any]:
-    """Return the ADS factory of a search or a replay, after its fixtures are set up.
+    """Return the policy factory of an item. The item's fixtures must be set up.
 
     Raises:
         RequestError: if the fixture of the policy returns no factory.
@@ -158,10 +158,10 @@ def policy_of(item: pytest.Item) -> Callable[..., Any]:
 
 
 def bound_test(item: pytest.Function) -> Test:
-    """Return a function that calls the test function with a run and with its fixtures.
+    """Return a function that calls the test function with a run and the item's fixtures.
 
     Raises:
-        RequestError: if the test uses a fixture that collects failures instead of raising them.
+        RequestError: if a fixture collects failures instead of raising them, or works in only one call.
     """
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
@@ -185,7 +185,7 @@ def bound_test(item: pytest.Function) -> Test:
         try:
             with recorded.call(run), REPLACED.shown(True):
                 result = item.obj(**{**fixed, RUN: run})
-        finally:  # and not before the call, as the ADS may have logged in this run
+        finally:  # and not before the call, because the policy may have logged messages in this run
             for each in recorders_here:
                 each.clear()
             item.stash[OUTPUT].read()
@@ -198,9 +198,9 @@ def bound_test(item: pytest.Function) -> Test:
 
 
 def _needs_only_run(item: pytest.Function) -> bool:
-    """Return whether a forked process can evaluate runs because the test function takes only the run."""
-    # Other fixtures may store something in this process. With a debugger or pytest-check, this process evaluates all
-    # runs.
+    """Return whether forked processes can evaluate runs, because the test function takes only the run."""
+    # Other fixtures may store something in this process. A debugger and pytest-check also need all runs in this
+    # process.
     is_plain = set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
     return is_plain and not item.config.getoption("usepdb", False)
 
@@ -224,7 +224,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     limit = math.inf if settings.max_time is None else monotonic() + settings.max_time
     harness = harness_of(item, request)
     replays = Replays(harness=harness, today=today)
-    # If this policy has killed a process before, it runs in processes that may die of it.
+    # If this policy has killed a process before, it runs in separate processes, which it may kill.
     chosen = isolated_after_a_death(harness, replays)
     now = chosen.request.settings
     watch_again(item, is_elsewhere=now.isolate or now.workers > 1 or chosen.cluster is not None)
@@ -235,14 +235,14 @@ def run_search(item: pytest.Function, request: Request) -> None:
             replays=replace(replays, harness=chosen),
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         )
-        # An exception in the inner loop, such as an interrupt, is raised in the search, which then reports what it has.
+        # An exception in the inner loop, such as an interrupt, is raised in the search, which reports its findings.
         events = Events(session.run())
         while not events.is_over:
             with events:
                 for event in events:
                     messages_of_search.send(event)
     result = events.result
-    # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
+    # The item fails for an error in the set-up, new findings, failures without an item, or an empty search.
     summary = result.summary
     if result.fault is not None:
         raise exception_for_pytest(result.fault)
@@ -255,7 +255,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # Each failure needs an item that fails for it. A file saved after the collection has no item in this session.
     here = item.config.stash[COLLECTED].get(harness.folder, {})
     late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
-    alike = [f"{plural(summary.known[id_], 'run')} like {id_}" for id_ in late if id_ in summary.known]
+    alike = [f"{plural(summary.known[id_], 'run')} failed like {id_}" for id_ in late if id_ in summary.known]
     if alike:
         _fail(item, "run pytest again, since these failures were saved after the collection", alike)
     if summary.reason is Ending.REPLAYS:
@@ -276,7 +276,7 @@ def exception_for_pytest(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """The sender of the events of a search to the controller."""
+    """An object that sends the events of a search to the controller."""
 
     item: pytest.Function
     settings: Settings
@@ -288,24 +288,24 @@ class SearchMessages:
             asked = {name: most for name in BUDGETS if (most := getattr(self.settings, name)) is not None}
             node_id, base_seed = self.item.nodeid, self.settings.seed
             messages.send(self.item, Search(node_id=node_id, seed=event.seed, base_seed=base_seed, asked=asked))
-        elif isinstance(event, GenerationFinished):  # its runs may have been judged in other processes
+        elif isinstance(event, GenerationFinished):  # its runs may have been evaluated in other processes
             self.item.stash[OUTPUT].read()
         elif isinstance(event, Seen):
             self._send_finding(event)
         elif isinstance(event, Search):
             set_properties(self.item.user_properties, **finding_properties(self.sent.values()))
-            if self.sent:  # otherwise they stay those of the last run
+            if self.sent:  # otherwise, keep the properties of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
         if isinstance(event, (Progress, Search)):
             messages.send(self.item, event)
 
     def _send_finding(self, seen: Seen) -> None:
         item, settings = self.item, self.settings
-        if seen.label == "no worse":  # it was sent as new before, and gets no item
+        if seen.label == "no worse":  # it was sent as new before, but gets no item
             self.sent.pop(seen.id, None)
             messages.send_seen(item, settings, seen, note=seen.detail)
             return
-        self.sent[seen.id] = seen  # even if an interrupt ends what follows
+        self.sent[seen.id] = seen  # even if an interrupt prevents the rest
         check = seen.raised.check if isinstance(seen.raised, CheckFailed) else None
         messages.send_seen(item, settings, seen, check=check, report=_report(item, seen))
 
@@ -340,5 +340,5 @@ def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
 def _no_collecting(what: str) -> str:
     return (
         f"expected a test function that raises at its first failure, received one with {what}, which only collects "
-        "failures. The function ends as if it had passed. Write `assert ...`, and a separate test for each property"
+        "failures. Such a function returns as if it passed. Use `assert`, and write a separate test for each property"
     )

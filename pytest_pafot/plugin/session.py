@@ -1,4 +1,4 @@
-"""The values of a session that the controller and the workers of pytest-xdist share."""
+"""The options, the shared values and the messages of a session."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.campaign.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.report.session import Session
+from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.support.errors import RequestError, flag
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
 """The types of ini keys that are not strings, by kind of option."""
 _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
-"""The value of an ini key at the end of pytest's error message."""
+"""A pattern for the value in pytest's error message about an ini key."""
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -44,34 +44,34 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
-    """Return the values of all options for an item with some arguments in its mark.
+    """Return the values of all options for an item, given the arguments of its mark.
 
     Raises:
-        RequestError: if a value is wrong. The message names its source.
+        RequestError: if a value is invalid. The message names its source.
     """
     for option in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
         if option.is_argument:
             _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
     values = {option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere}
-    # The first source with a budget decides on both.
+    # The first source that sets a budget decides both.
     budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
     given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
-    # Generations mean the paper's algorithm, even if a source before gives the number of runs.
+    # A number of generations selects the paper's algorithm, even if an earlier source sets the number of runs.
     values["algorithm"] = values["algorithm"] or ("pafot" if any(budget[1] for budget in budgets) else None)
     return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
 
 
 def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
-    """Return the value of an option for a mark with some arguments.
+    """Return the value of an option, given the arguments of a mark.
 
     Raises:
-        RequestError: if the value is wrong. The message names its source.
+        RequestError: if the value is invalid. The message names its source.
     """
     return next((value for value in _values(config, option, marker) if value is not None), option.default)
 
 
 def value_if_right(config: pytest.Config, name: str) -> Any:
-    """Return the value of an option of the session, or None if it is wrong. Each search reports the error."""
+    """Return the value of an option of the session, or None if it is invalid, which each search reports."""
     try:
         return option_value(config, BY_NAME[name], {})
     except RequestError:
@@ -98,7 +98,7 @@ def _read(option: Option, place: str, value: object) -> Any:
 
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
-LISTED = 5  # the number of files that a line names
+LISTED = 5  # the maximum number of names in a line
 
 
 def terminal_width() -> int:
@@ -113,10 +113,10 @@ class Shared:
     def __init__(self, **chosen: Any) -> None:
         self.progress_seconds = LOG_SECONDS  # interval between reports of progress [s]
         self.width = terminal_width()  # of the terminal, which a worker cannot query [columns]
-        # the day with which the last days of accepted failures are compared, as a text that can be sent to workers
+        # the day with which the last days of accepted failures are compared, as a string that can be sent to workers
         self.today = date.today().isoformat()
-        # node ids of the saved scenarios that the first workers collected, or None before. A worker that replaces a
-        # crashed one collects only these, and no file written since: pytest-xdist needs the same items in all workers
+        # node ids of the saved scenarios that the first workers collected, or None until then. A worker that replaces a
+        # crashed one ignores newer files, because pytest-xdist needs the same items in all workers
         self.frozen: frozenset[str] | None = None
         vars(self).update(chosen)
 
@@ -124,25 +124,25 @@ class Shared:
 class Inventory(NamedTuple):
     """The collected items and files as strings that pytest-xdist can send."""
 
-    driven: set[str]  # node ids of the items to run that drive policies
+    driven: set[str]  # node ids of the items that will run a policy
     corpora: set[str]  # the corpora of the collected tests
-    deselected: set[str]  # the saved scenarios of items that pytest counts as deselected, as reports name them
-    unnamed: set[str]  # functions and classes that have a mark of pafot, and of which pytest collects no test
+    deselected: set[str]  # the saved scenarios of deselected items, as reports name them
+    unnamed: set[str]  # marked functions and classes that pytest does not collect as tests
 
 
 def first(names: Sequence[str]) -> str:
-    """Return the first five names, and how many more there are."""
+    """Return the first five names, and the number of the other names."""
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def cause_of(config: pytest.Config) -> str:
-    """Return why a session must not pass if something was not tested, or an empty string."""
+    """Return why a session must fail if something was not tested, or an empty string."""
     strict = BY_NAME["strict_health"]
     return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
 
 
 def call_of(config: pytest.Config) -> list[str]:
-    """Return the arguments of this call of pytest, without those of its configuration file."""
+    """Return the arguments with which pytest was called, without those in its configuration file."""
     return [*map(str, config.invocation_params.args), *shlex.split(os.environ.get("PYTEST_ADDOPTS", ""))]
 
 
@@ -167,7 +167,7 @@ def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
 
 
 def base_line(config: pytest.Config) -> str:
-    """Return a line with the base seed of searches, or an empty string."""
+    """Return a line with the base seed of searches, or an empty string without a search."""
     try:
         settings = resolve(config, {})
     except RequestError as error:
@@ -178,34 +178,34 @@ def base_line(config: pytest.Config) -> str:
 
 
 def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) -> str:
-    """Return a line with the largest number of runs, or an empty string if it is unknown."""
+    """Return a line with the maximum number of runs, or an empty string if it is unknown."""
     # The counts are upper limits: a search may end early.
     most = Counter[str]()
     for marker in markers:
         try:
             settings = resolve(config, marker)
-        except RequestError:  # which the search itself reports
+        except RequestError:  # the search itself reports it
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
     counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
-    return counts and f"pafot: at most {counts}; simplifying the failures takes about as many decisions again"
+    return counts and f"pafot: at most {counts}; simplifying failures about doubles the number of decisions"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
     """Return a warning if the day of ``--pafot-today`` is in the past in every time zone."""
-    from pytest_pafot.support.text import day_of  # noqa: PLC0415  (of an option that few sessions have)
+    from pytest_pafot.support.text import day_of  # noqa: PLC0415  (few sessions have this option)
 
     day = day_of(asked)
     if day is None or day >= today - timedelta(days=1):
         return []
     return [
         f"{flag('today', asked)}: this day is in the past. Accepted failures whose last day has passed since then "
-        "still count as accepted. Remove the option, or pass the day of this session"
+        "still count as accepted. Remove the option, or set it to the current day"
     ]
 
 
 def end_in_order(config: pytest.Config) -> None:
-    """Interrupt the session on SIGTERM and SIGHUP, so that it leaves no processes and writes its results."""
+    """Interrupt the session on SIGTERM and SIGHUP, so that it ends its processes and writes its results."""
     from pytest_pafot.support.process import interrupted_by_signals  # noqa: PLC0415
     from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
@@ -218,7 +218,7 @@ def guard_exits(config: pytest.Config) -> None:
     """Fail the session if a policy calls ``os._exit`` or ``os.exec*`` in this process."""
     # After the session the functions stay replaced, because a thread or an exit function may still call them.
     if isinstance(os._exit, partial):
-        return  # in a session that a test of another one runs
+        return  # this session runs inside a test of another session
     owner, plugins = getpid(), config.pluginmanager
     own = {name: vars(os)[name] for name in ("_exit", "abort", "execv", "execve")}
 
@@ -226,7 +226,7 @@ def guard_exits(config: pytest.Config) -> None:
         return int(getattr(plugins.get_plugin("session"), "exitstatus", pytest.ExitCode.OK))
 
     def end(name: str, /, *given: Any, **named: Any) -> None:
-        # Before there are tests, only _exit: a conftest.py may call exec to start pytest anew.
+        # Before the collection, only _exit is an error: a conftest.py may call exec to restart pytest.
         is_early = name == "_exit" and not getattr(plugins.get_plugin("session"), "items", ())
         if getpid() == owner and not is_worker(config) and (is_early or plugins.has_plugin("pafot-messages")):
             if not code():
@@ -252,17 +252,17 @@ def guard_exits(config: pytest.Config) -> None:
 
 def exit_code(session: pytest.Session) -> int:
     """Return the exit code of a session that ends."""
-    # A second Ctrl-C may come before pytest has noted the first one.
+    # A second Ctrl-C may arrive before pytest has handled the first one.
     is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
     return int(pytest.ExitCode.INTERRUPTED if is_interrupted else session.exitstatus)
 
 
 def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Write a file with a function. Return why it was not written and what to do, or an empty string.
+    """Call a function that writes a file. Return the reason and a solution if it fails, or an empty string.
 
     ``name`` is the path as the user has written it.
     """
-    # A link below the rootdir may be part of a checkout, and lead anywhere.
+    # A link below the rootdir may come from a repository, and lead anywhere.
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     if link is not None:
         return refusal(link)
@@ -284,7 +284,7 @@ class Header:
     """The hook for the header of a verbose session."""
 
     def pytest_report_header(self) -> str:
-        """Return a line that says whether the simulation kernel is compiled."""
+        """Return a line that states whether the simulation kernel is compiled."""
         from pytest_pafot.support.compiled import why_interpreted  # noqa: PLC0415  (most sessions are not verbose)
 
         reason = why_interpreted()
@@ -294,7 +294,7 @@ class Header:
 # Messages from a running item to the controller.
 #
 # A message is a test report of a phase that only this plugin knows. pytest-xdist sends it to the controller
-# immediately, like every report. Other plugins take it for the report of a passed phase without output.
+# immediately, like every report. To other plugins, it looks like the report of a passed phase without output.
 
 PHASE = "pafot"  # the phase of a report that is a message
 
@@ -303,7 +303,7 @@ AS_SAVED = "pafot_saved"
 
 
 class Messages:
-    """The hooks that pass messages to the controller."""
+    """Hooks for the messages to the controller."""
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logreport(self) -> Generator[None, object, object]:
@@ -320,6 +320,6 @@ class Messages:
 
 
 def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
-    """Return a report on a phase of an item, by default a passed one."""
+    """Return a report on a phase of an item, by default a passed phase."""
     passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
     return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})

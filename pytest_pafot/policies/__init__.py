@@ -34,8 +34,8 @@ def sb3(
 
     Args:
         file: zip file that ``model.save`` wrote.
-        vecnormalize: file that ``VecNormalize.save`` wrote, for single or stacked observations, if the model was
-            trained with VecNormalize.
+        vecnormalize: file that ``VecNormalize.save`` wrote, if the model was trained with VecNormalize. Its statistics
+            can be for single or stacked observations.
         frame_stack: number of observations that the model receives together, as stacked by ``VecFrameStack``.
         algorithm: name of the algorithm, such as ``"PPO"``, or its class. By default, the zip file determines it.
         deterministic: True for the action that the model prefers, False for a random action from its distribution.

@@ -21,8 +21,8 @@ from pytest_pafot.support.errors import refused_policy as refused
 
 Array = npt.NDArray[Any]
 
-# The algorithms by a mark in the zip: the name of a parameter, or a part of the module name of the policy class. A zip
-# does not name its algorithm, so the first mark in it decides. DDPG is loaded as TD3, from which it derives.
+# A zip does not name its algorithm, so the first of these marks in it decides. A mark is the name of a parameter, or a
+# part of the module name of the policy class. DDPG is loaded as TD3, from which it derives.
 ALGORITHM_MARKS = {
     "_last_lstm_states": "RecurrentPPO",
     "maskable": "MaskablePPO",
@@ -38,7 +38,7 @@ ALGORITHM_MARKS = {
     "gae_lambda": "A2C",
 }
 
-# Replacements of parameters that only training needs: functions from another Python version, or large memory.
+# Replacements for parameters that only training needs. They can be functions of another Python version, or very large.
 TRAINING_PARAMETERS = {
     "learning_rate": 0.0,
     "lr_schedule": 0.0,
@@ -63,7 +63,7 @@ class Sb3Policy:
 
     def __post_init__(self) -> None:
         if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
-            raise refused("a frame_stack of 1 or more", repr(self.frame_stack), "use the number of the training")
+            raise refused("a frame_stack of 1 or more", repr(self.frame_stack), "use the same number as in training")
 
     @functools.cached_property
     def loading_hint(self) -> str:
@@ -78,7 +78,7 @@ class Sb3Policy:
 
     @functools.cached_property
     def loaded(self) -> BaselineModel:
-        """The model, which equal factories share."""
+        """The loaded model, which equal factories share."""
         files = [path for path in (self.file, self.vecnormalize) if path is not None]
         return _loaded(self, tuple(map(_changed_at, files)))
 
@@ -103,7 +103,7 @@ class Sb3Policy:
             marks = {*zipped, *module.split(".")}
             name = next((name for mark, name in ALGORITHM_MARKS.items() if mark in marks), None)
         if name is None:
-            raise refused("a zip of a known algorithm", str(self.file), 'pass it, such as algorithm="PPO"')
+            raise refused("a zip of a known algorithm", str(self.file), 'name the algorithm, as in algorithm="PPO"')
         if not isinstance(name, str):
             return name
         own = getattr(_library("stable_baselines3"), name, None)
@@ -157,7 +157,7 @@ class BaselineModel:
         self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
 
     def fits(self, observation_space: Any, action_space: Any) -> bool:
-        """Return whether the model can drive with the observations and actions of an environment."""
+        """Return whether the observations and actions of an environment suit the model."""
         own, other = self.observation_space, observation_space
         if type(own) is not type(other) or self.action_space != action_space:
             return False
@@ -216,7 +216,7 @@ def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int
 
 
 def push_observation(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
-    """Return the last ``count`` observations as one array of a shape, the newest last.
+    """Return the last ``count`` observations, stacked to an array of a shape, with the newest last.
 
     Raises:
         AdsFactoryError: if ``count`` observations do not give an array of this shape.
@@ -233,7 +233,7 @@ def push_observation(frames: Array | None, observation: Array, count: int, shape
 
 
 def _parameters(file: Path) -> dict[str, Any]:
-    """Return the JSON description of the model in a zip. Nothing is unpickled."""
+    # The JSON description of the model in a zip. Nothing is unpickled.
     try:
         with zipfile.ZipFile(file) as zipped:
             parameters: dict[str, Any] = json.loads(zipped.read("data"))
@@ -244,9 +244,9 @@ def _parameters(file: Path) -> dict[str, Any]:
 
 
 def _missing_statistics(file: Path) -> str:
-    # No file names the wrappers of a training. But `learn` stores the last observations from before VecNormalize in the
-    # zip, or None without VecNormalize. Algorithms with a replay buffer store them in either case, so this is no
-    # evidence then.
+    # No file names the wrappers that were used in training. But `learn` stores in the zip the last observations from
+    # before VecNormalize, or None without VecNormalize. Algorithms with a replay buffer always store observations, so
+    # for them this is no evidence.
     beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
     found = next((each for each in beside if _is_statistics(each)), None)
     zipped = _parameters(file)
@@ -277,7 +277,7 @@ def _library(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        raise refused(f"{name} for this policy", "a Python without it", install("sb3")) from None
+        raise refused(f"the package {name}", "a Python environment without it", f"run `{install('sb3')}`") from None
 
 
 def _describe_world(world: Any) -> str:

@@ -1,4 +1,4 @@
-"""A planner as a separate program in any language, which exchanges lines of JSON."""
+"""Planners that are separate programs in any language and exchange lines of JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from multiprocessing.util import Finalize
 from os import getpid
 from typing import Any, NoReturn
 
-from pytest_pafot import Drive, Observation
+from pytest_pafot import LaneCommand, Observation
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.support.errors import refused_policy as refused
@@ -32,7 +32,7 @@ LONGEST_LINE = 1 << 20  # the longest line that a program may write [bytes]
 STDERR_IN_ERROR = 2000  # length of the end of stderr in the error of a program that has ended [bytes]
 STDERR_PRINTED = 4000  # bytes of the start, and also of the end, of a run's stderr that the session prints
 GRACE = 1.0  # time for a program to end on its own after its input was closed [s]
-SLICE = 0.2  # longest wait without a check of the time [s], for systems in which the hang limit cannot send a signal
+SLICE = 0.2  # longest wait without a check of the time [s], for systems on which the hang limit cannot send a signal
 CHUNK = 1 << 16  # largest number of bytes to read from a pipe in one call
 
 
@@ -59,7 +59,7 @@ class ProgramLoader:
             raise refused("a timeout above 0 [s], or None", repr(self.timeout), "use seconds, such as timeout=5")
 
     def __call__(self) -> ProgramAds:
-        """Return a new ADS, with an idle program of this process or a new one."""
+        """Return a new ADS, with an idle program of this process or with a new program."""
         idle = _idle(self)
         while idle:
             program = idle.pop()
@@ -96,7 +96,7 @@ class ProgramAds:
         except ProgramEnded:
             if not (is_first and self._is_kept):
                 raise
-            # The program was still ending after its last scenario. It has received nothing of this one.
+            # The program was still ending after its last scenario, so it has received nothing of this one.
             self._program = Program(self._loader.command)
             answer = self._program.ask(line, self._loader.timeout)
         action = action_of(answer)
@@ -107,7 +107,7 @@ class ProgramAds:
         try:
             sys.stderr.write(self._program.new_output())
         finally:
-            if self._is_waiting:  # its response would be mistaken for one in the next run
+            if self._is_waiting:  # its late response would be mistaken for a response in the next run
                 self._program.kill()
             if self._loader.keep and not self._is_waiting:
                 _idle(self._loader).append(self._program)
@@ -131,13 +131,13 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
 
 
 def action_of(line: bytes) -> Any:
-    """Return the action in a program's line: a pair in SI units, a ``Drive``, or an environment's own action.
+    """Return the action in a program's line: a pair in SI units, a ``LaneCommand``, or an environment's own action.
 
     Raises:
         BadAction: for any other line.
     """
     answer = None
-    # The messages are part of the signatures of saved findings: other words would make known failures new ones.
+    # The messages are part of the signatures of saved findings. With other words, known failures would become new ones.
     with suppress(ValueError, RecursionError):  # not JSON, not text, 5000 digits, or 100,000 brackets
         answer = json.loads(line, object_pairs_hook=_without_repetition)
     # An echoed observation also has the keys acceleration and steering, so this check must be first.
@@ -147,7 +147,7 @@ def action_of(line: bytes) -> Any:
     if isinstance(answer, dict) and "action" in answer:
         return answer["action"]
     if isinstance(answer, dict) and "lane" in answer:
-        return Drive(**{field.name: answer[field.name] for field in fields(Drive) if field.name in answer})
+        return LaneCommand(**{field.name: answer[field.name] for field in fields(LaneCommand) if field.name in answer})
     if isinstance(answer, dict) and answer.keys() >= {"acceleration", "steering"}:
         return answer["acceleration"], answer["steering"]
     raise BadAction(
@@ -164,7 +164,7 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class Program:
-    """A running program, which ends when it is no longer needed, or when this process ends.
+    """A running program, which ends when it is no longer needed or when this process ends.
 
     Raises:
         AdsFactoryError: if the program cannot be started.
@@ -182,8 +182,8 @@ class Program:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 bufsize=0,
-                # The whole group is killed after the program has ended, even on its own. Processes that it leaves
-                # running would keep the pipes open and the machine busy.
+                # The whole group is killed after the program has ended, even if it ended on its own. Processes that it
+                # left running would keep the pipes open and the machine busy.
                 process_group=0,
             )
         except OSError as error:
@@ -193,13 +193,13 @@ class Program:
             pipe.fileno() for pipe in (self._process.stdin, self._process.stdout, self._process.stderr) if pipe
         )
         self._sources = [self._from, self._errors]
-        # Ends the program, also when this object is garbage-collected and when this process ends normally. Unlike a
-        # `weakref` finalizer, it also works in worker processes, but a fork does not end the programs of its parent.
+        # Also ends the program when this object is garbage-collected and when this process ends normally. Unlike a
+        # `weakref` finalizer, it works in worker processes, but does not end the programs of a forked process's parent.
         self.end = Finalize(self, _end, (self._process,), exitpriority=0)
 
     @property
     def is_ready(self) -> bool:
-        """True if the program waits for a line: it runs, and has written nothing since its last line."""
+        """True if the program runs and waits for a line: it has written nothing since its last line."""
         with suppress(ProgramEnded, BadAction):
             self._receive(0.0)
             return not self._buffer
@@ -209,7 +209,7 @@ class Program:
         _kill(self._process)
 
     def ask(self, line: bytes, timeout: float | None) -> bytes:
-        """Send a line to the program and return its line, within ``timeout`` [s].
+        """Send a line to the program, and return the line that it writes within ``timeout`` [s].
 
         Raises:
             ProgramEnded: if the program ends first.
@@ -235,7 +235,7 @@ class Program:
 
     def _receive(self, seconds: float, *, is_asking: bool = False) -> bool:
         """Wait for output and read it. Return whether the program accepts more of its input line."""
-        pipes = select.poll()  # select.select refuses descriptors from 1024 on
+        pipes = select.poll()  # select.select rejects descriptors above 1023
         for source in self._sources:
             pipes.register(source, select.POLLIN)
         if is_asking:
@@ -248,7 +248,7 @@ class Program:
         elif self._to in ready:
             return True
         elif _has_ended(self._process, 0.0) and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
-            self._raise_ended()  # A process that the program has started may keep the pipe open.
+            self._raise_ended()  # although a process that the program has started may keep the pipe open
         return False
 
     def _read(self) -> None:
@@ -275,13 +275,13 @@ class Program:
         return line
 
     def _raise_ended(self, closed: str = "output") -> NoReturn:
-        # A program that has closed its input or output has ended, or soon will.
+        # A program that has closed its input or output has ended, or will end soon.
         _has_ended(self._process, GRACE)
         code = self._process.returncode
         how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was ended by signal {-code}, {signal.strsignal(-code)},"
-        # The text is part of the signature of saved findings: other words would make known failures new ones.
+        # The message is part of the signature of saved findings. With other words, known failures would become new.
         error = ProgramEnded(f"{self._name} {how} in the place of an answer")
         self._read_rest()
         if self._stderr:
@@ -298,7 +298,7 @@ class Program:
             self._read_stderr()
 
     def new_output(self) -> str:
-        """Return what the program wrote to stderr since the last call, without the middle of a long text."""
+        """Return the output on stderr since the last call, without the middle if it is long."""
         self._read_rest()
         words, omitted = bytes(self._stderr), self._omitted
         self._stderr.clear()

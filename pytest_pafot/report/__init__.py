@@ -1,1 +1,1 @@
-"""The texts and pages that users read."""
+"""The reports of a session, for users and programs."""

@@ -1,4 +1,4 @@
-"""The report page: one self-contained HTML file that needs no network, and shows the same text without its scripts."""
+"""The report page: one HTML file that needs no network, and that has the same text if scripts are disabled."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from typing import Any
 from urllib.parse import quote
 
 from pytest_pafot.attribution.sentences import AT_FAULT
-from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.corpus.layout import SEARCH_PART, SUFFIX, name_without
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import Session
+from pytest_pafot.searches.events import Ending, Search
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import capitalised, content_hash, json_in_script, plural, visible_lines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """A finding on a page, with its data, the number of runs that failed in this way, its result and its command."""
+    """A finding on the page, with its data, the number of runs that failed in this way, its result and its command."""
 
     seen: Seen
     view: Mapping[str, Any]
@@ -38,12 +38,12 @@ class Shown:
 
     @property
     def test(self) -> str:
-        """The name of its test, with the parameters."""
+        """The name of the finding's test, with parameters."""
         return self.seen.finding.test.rpartition("::")[2]
 
     @property
     def who(self) -> str:
-        """The side that is responsible, or what else failed."""
+        """The responsible side, or ``check`` or ``error``."""
         if self.view["check"] is not None:
             return "check"
         return "error" if self.view["event"]["kind"] in ("ads_error", "hang") else self.seen.responsible
@@ -72,9 +72,9 @@ def _with_button(command: str) -> str:
     )
 
 
-# The findings: their list, and an article on each with a place for its picture.
+# The list of findings, and an article on each finding, with space for a picture.
 
-# The symbols differ at a glance, even without colour.
+# The symbols can be distinguished without colour.
 SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2", "error": "\u25a0"}
 
 WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
@@ -96,7 +96,8 @@ def finding_list(findings: Sequence[Shown]) -> str:
     if not findings:
         return ""
     counts = Counter(each.who for each in findings)
-    summary = ", ".join(f"{SYMBOLS.get(who, '?')} {counts[who]} {WHO.get(who, who)}" for who in sorted(counts))
+    names = {who: f"{name}s" if counts[who] > 1 and who in ("check", "error") else name for who, name in WHO.items()}
+    summary = ", ".join(f"{SYMBOLS.get(who, '?')} {counts[who]} {names.get(who, who)}" for who in sorted(counts))
     listed = f'<p class="summary">{text(summary)}</p><div class="rows">'
     for test, group in groupby(zip(_keys(findings), findings, strict=True), key=lambda each: each[1].test):
         listed += f"<h3>{text(test)}</h3><ol>"
@@ -164,7 +165,7 @@ def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
 
 
 def _section(title: str, content: str) -> str:
-    return f'<section class="campaigns"><h2>{text(title)}</h2>{content}</section>' if content else ""
+    return f'<section class="searches"><h2>{text(title)}</h2>{content}</section>' if content else ""
 
 
 def _search(search: Search) -> str:
@@ -180,7 +181,7 @@ def _search(search: Search) -> str:
         ("ended", search.reason.after_ended),
     )
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
-    return f'<article class="campaign"><h3 class="id">{prose(search.node_id)}</h3>{_facts(figures)}{warnings}</article>'
+    return f'<article class="searches"><h3 class="id">{prose(search.node_id)}</h3>{_facts(figures)}{warnings}</article>'
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -191,7 +192,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 # The whole page.
 
 ASSETS = "pytest_pafot.report.assets"
-# In the order in which they run: each uses what the earlier ones define.
+# The scripts in the order in which they run. Each uses functions of the earlier ones.
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 
 # The data that the scripts read. Everything else is in the page as text.
@@ -199,14 +200,14 @@ DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "
 
 INTERRUPTED = '<p class="warning">The session was interrupted. This report covers only what ran before.</p>'
 
-# A page shows at most so many findings in full, the worst ones. Each takes about 60 kB.
+# The maximum number of findings that a page shows in full, the worst first. Each takes about 60 kB.
 WHOLE = 100
 
 
 def render_page(session: Session, *, title: str, command: str) -> tuple[str, str]:
-    """Render the record of a session as one HTML page, and return the page with a summary of its content.
+    """Return the record of a session as an HTML page, and a summary of its content.
 
-    Equal records give equal pages.
+    Equal records give equal pages, except for the time of writing.
     """
     style = _asset("page.css")
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
@@ -217,10 +218,10 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
     views, more = [_shown(each, session) for each in found[:WHOLE]], found[WHOLE:]
     tests = [each.test for each in views]
     views.sort(key=lambda each: tests.index(each.test))  # grouped by test, the test with the worst finding first
-    # A failure needs an article only if no finding shows it. Searches also fail because of their findings.
+    # A failure needs an article only if no finding explains it. Searches also fail because of their findings.
     shown = {*session.views, *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR)}
     failures = {key: text for key, text in session.failures.items() if key[1] != "call" or key[0] not in shown}
-    # Failures without a finding have the text that pytest shows.
+    # The article on a failure without a finding shows pytest's text.
     ended = {each.node_id: "The search ended with an error." for each in searches if each.reason is Ending.ERROR}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
@@ -271,7 +272,7 @@ def data_json(findings: Iterable[Shown]) -> str:
 
 
 def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupted: bool) -> str:
-    # Only if nothing ended early does the page state that the property held.
+    # The page states that the property held only if nothing ended early.
     ends = {search.reason for search in searches}
     if has_errors or Ending.ERROR in ends:
         return "No findings, but an error ended a test or a search early."
@@ -280,8 +281,8 @@ def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupt
     if any(search.failing for search in searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if not all(end.is_complete for end in ends):
-        return "No findings before time ran out. The property held in every run that was evaluated before."
-    return "No findings. The property held in every evaluated run."
+        return "No findings before time ran out. The property held in all runs that were evaluated until then."
+    return "No findings. The property held in all evaluated runs."
 
 
 def _asset(name: str) -> str:

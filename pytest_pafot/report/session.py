@@ -1,4 +1,4 @@
-"""The record of a pytest session. The items fill it with events, and all reports are written from it.
+"""The record of a pytest session: items add events to it, and all reports are written from it.
 
 Every session has a record, so this module imports little and defines no dataclass.
 """
@@ -15,23 +15,23 @@ from typing import TYPE_CHECKING, Any
 from pytest_pafot.support.errors import rerun
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Note, Progress, Search
     from pytest_pafot.findings.sighting import Seen
+    from pytest_pafot.searches.events import Note, Progress, Search
 
     Event = Progress | Search | Seen | Note
 
-# The results of items, the worst last. An item that never ended has the empty one.
+# The results of items, the worst last. An item that did not end has an empty result.
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 # What to do about saved scenarios that the session did not replay.
 ADVICE = (
-    "expected a test that replays each of them. Was their test skipped, renamed, moved or deleted, or did testpaths, "
+    "expected a test that replays each of them. Was their test skipped, renamed, moved or deleted, or do testpaths, "
     "python_files, norecursedirs or a hook exclude it? "
-    "If the test has a new name or file, move the saved files to its folder MODULE/TEST in the corpus, and write its "
-    "node id into their lines `test:`. Otherwise, delete them"
+    "If the test was renamed or moved, move the saved files to its folder MODULE/TEST in the corpus, and correct the "
+    "node id in their lines `test:`. If it was deleted, delete the files"
 )
 WHY_UNNAMED = (
-    "pytest does not collect it. Give it a name that pytest collects, in a file and a class that pytest collects, or "
-    "set its __test__ to False"
+    "pytest does not collect it. Rename the test, its class or its file so that pytest collects it, or set __test__ to "
+    "False in the test or class"
 )
 
 
@@ -40,33 +40,33 @@ class Session:
 
     def __init__(self, **known: Any) -> None:
         self.exit: int | None = None  # pytest's exit code; None while the session runs
-        # By the node id of a finding, new or replayed: what is known of it, the item that reported it, and its data for
-        # the page, as compressed JSON, since each takes half a megabyte.
+        # For each node id of a new or replayed finding: the finding, the item that reported it, and its data for the
+        # page, as compressed JSON because each takes half a megabyte.
         self.seen: dict[str, Seen] = {}
         self.items: dict[str, str] = {}
         self.views: dict[str, bytes] = {}
         self.unread: dict[str, Mapping[str, str]] = {}  # saved scenarios that could not be read or run
-        # By the node id of an item: searches, in the order in which they started or ended, results, first lines of
-        # failures, and, with the phase, pytest's full texts of failures.
+        # For each node id of an item: the search, in the order in which searches started or ended, the result, and the
+        # first line of its failure. For each node id and phase: pytest's full text of the failure.
         self.searches: dict[str, Search] = {}
         self.results: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.failures: dict[tuple[str, str], str] = {}
         self.incomparable: dict[str, None] = {}  # items with a policy that could not be compared with its reference
         self.unnamed: list[str] = []  # marked tests that pytest did not collect
-        # Saved scenarios that the session did not replay, and those of them that make it fail.
+        # Saved scenarios that the session did not replay, and those for which it fails.
         self.left: list[str] = []
         self.fails: list[str] = []
-        self.warnings: list[str] = []  # about saved scenarios
+        self.warnings: list[str] = []  # such as about skipped tests and expired acceptances
         self.notes: list[str] = []
         self.problems: list[str] = []  # errors outside the tests
         self.written: list[str] = []  # about the files that were written
         vars(self).update(known)
 
     def add(self, event: Event, item: str = "", view: str = "") -> None:
-        """Add an event of an item; ``view`` is a finding's data for the page, as JSON."""
-        from pytest_pafot.campaign.events import Note, Search  # noqa: PLC0415
+        """Add an event of an item. ``view`` is the data of a finding for the page, as JSON."""
         from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
+        from pytest_pafot.searches.events import Note, Search  # noqa: PLC0415
 
         match event:
             case Search():
@@ -74,7 +74,7 @@ class Session:
                 self.searches[event.node_id] = replace(event, finds=tuple(map(self._with_alike, event.finds)))
             case Seen():
                 earlier = self.seen.pop(event.node_id, None)
-                # If the session also replays the new file of a search, the replay must not hide that it was not shrunk.
+                # If the session also replays the new file of a search, the replay must not hide that it is unshrunk.
                 left = "" if earlier is None or event.observed.new else earlier.unshrunk
                 self.seen[event.node_id] = replace(event, unshrunk=left) if left else event
                 self.items[event.node_id] = item
@@ -87,7 +87,7 @@ class Session:
                 texts.extend([event.text] if event.text not in texts else [])
 
     def _with_alike(self, find: Seen) -> Seen:
-        # A search counts the runs that failed like its finding, so only its end knows the number.
+        # A search counts the runs that failed like its finding, so the number is known only at its end.
         known = self.seen.get(find.node_id)
         if known is not None and known.observed.new:
             find = self.seen[find.node_id] = replace(known, alike=find.alike)
@@ -98,7 +98,7 @@ class Session:
 
         ``saved`` has the id, file and test of a replayed scenario. It is None for a search.
         """
-        from pytest_pafot.campaign.events import Search  # noqa: PLC0415
+        from pytest_pafot.searches.events import Search  # noqa: PLC0415
 
         self.failures[node_id, phase] = text
         self.reasons.setdefault(node_id, reason)
@@ -126,7 +126,7 @@ class Session:
     @property
     def findings(self) -> dict[str, Seen]:
         """The findings by node id. Replays include the result of the search of the same test."""
-        from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
+        from pytest_pafot.searches.events import by_test, concluded  # noqa: PLC0415
 
         searches = by_test(self.ended)
         return {node_id: concluded(each, searches) for node_id, each in self.seen.items()}
@@ -147,7 +147,7 @@ class Session:
         return [*self.finds, *(each for each in self.replays if each.headline and each.label != "accepted")]
 
     def command(self, seen: Seen, *words: str, name: str = "") -> str:
-        """Return the command that runs a finding again: its file or item, or without a file its search."""
+        """Return the command that runs a finding again, or its search if the finding was not saved."""
         if seen.path:
             return rerun([*words, name or seen.path], os.environ, saved=seen.id)
         item = self.items.get(seen.node_id, "")
@@ -156,7 +156,7 @@ class Session:
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
-        """Report an error in this context as a problem; pytest itself would lose all failures of the session."""
+        """Report an error in this context as a problem, because pytest would lose all failures of the session."""
         try:
             yield
         # An interrupt ends only the work in this context, since the session is ending anyway.

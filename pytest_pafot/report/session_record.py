@@ -15,7 +15,6 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.campaign.events import Search
 from pytest_pafot.corpus.writer import named
 from pytest_pafot.findings.finding import portable
 from pytest_pafot.findings.shrink import size_of
@@ -24,16 +23,17 @@ from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
 from pytest_pafot.report.terminal import FAILING, further, told
+from pytest_pafot.searches.events import Search
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
-# It increases if a key is removed or changes its meaning, but not if a key is added.
+# The version increases if a key is removed or gets a new meaning, but not if a key is added.
 VERSION = 5
 
 # The label of a saved scenario that could not be read or run.
 UNREAD = label(Observed(is_error=True))
 
-# Attributes of a search that may differ for the same seed, so only the terminal shows them.
+# Attributes of a search that only the terminal shows, because they may differ for the same seed.
 NOT_WRITTEN = ("seconds", "process_notes")
 
 
@@ -89,49 +89,49 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
 
 
 def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
-    """Return the JSON entry of a finding; None stands for a file that could not be read or run.
+    """Return the JSON entry of a finding. None represents an unusable file.
 
     ``more`` contains values that only the session knows.
 
     Keys:
-        node_id: node id of the item that replays it; a new finding has this item from the next session.
+        node_id: node id of the item that replays it; for a new finding, from the next session.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; `no worse`, if a comparison with a reference does not count it; the label of a replay; or
-            `error`, with which only ids, `test`, `result`, `file`, `replay` and `detail` are known.
+        status: `new`; `no worse` if it does not count in a comparison with a reference; the label of a replay; or
+            `error`. For `error`, only ids, `test`, `result`, `file`, `replay` and `detail` are known.
         result: `passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.
         file: path relative to the rootdir; null if not saved.
         replay: command that replays it.
-        scenario, world: as in its file; null with `error`.
+        scenario, world: as in its file; null for `error`.
         headline: how the run ended; empty if it passes.
         sentences: sentences of the verdict on a collision.
-        detail: what differs from the file, why there is no file, or the error.
-        signature: what makes two failures the same; null with `error`.
-        kind: short name of the signature, with which ids start.
+        detail: differences from the file, why there is no file, or the error.
+        signature: what identifies the same failure; null for `error`.
+        kind: short name of the signature, which starts the ids.
         failure, assertion, outcome, time: as in `expect` of its file.
         responsible: `ego`, `npc`, `both` or `none`.
         takeover: latest takeover by a careful driver that avoids the collision [s before the impact], or null.
         size: size of the scenario in words.
-        traffic: driving style of the NPCs in words; empty for the paper's.
+        traffic: driving style of the NPCs in words; empty for the style of the paper.
         runs: number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).
-        worst: `number` in the search, from 0, and `severity` of the worst of these runs.
+        worst: `number` (from 0) and `severity` of the worst of these runs.
         seed, algorithm, policy: as in `found` of its file.
-        against: reference that passed when it was found; empty without one.
-        rate: for a policy that draws random numbers, `failing` of `runs`, each with another seed if `of` is `seeds`;
-            for a replay also `now`, with `failing` and `runs`.
-        flaky: what differed when it was run again, or null.
-        unshrunk: why it was not confirmed, or not fully shrunk, such as a lack of time.
+        against: reference that passed the scenario when it was found; empty without a reference.
+        rate: for a policy that draws random numbers, the number `failing` of `runs`, with different seeds if `of` is
+            `seeds`. For a replay, `now` has the new numbers.
+        flaky: the difference between two runs of it, or null.
+        unshrunk: why it was not confirmed or not fully shrunk, such as a lack of time.
         moment: last decision that could have avoided it, or null: `time` [s]; `npc`; `seen`, where the policy saw the
-            NPC; `action`, its response; `hidden`, the response with the NPC hidden (empty for the same, null if
-            unknown); `otherwise`, the smallest change of the NPC that changes the response; `reference`, the
-            reference's response; `conditions`, which the policy `evaluated`, for each vehicle that they are `about`.
-        searched: number of runs of its test's search without such a failure, if `fixed`.
+            NPC; `action`, its response; `hidden`, the response with the NPC hidden (empty if it is the same, null
+            if unknown); `otherwise`, the smallest change of the NPC that changes the response; `reference`, the
+            response of the reference; `conditions` that the policy `evaluated`, and the vehicle that they are `about`.
+        searched: if `fixed`, number of runs of the test's search, all without such a failure.
         drawn: number of random scenarios among these.
-        elsewhere: id of another finding with the same failure, if its own scenario passes.
+        elsewhere: id of another finding with the same failure, if the scenario of this finding passes.
         reference_passes: whether the reference passes the scenario of a replay, or null.
-        severity: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or the amount by which the check is
-            broken [`unit`]; `margin` and `name` of a check. Null if it passes or cannot be measured.
-        severity_before: the same for the reference, if it also fails, or null.
+        severity: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or the amount by which the check
+            fails [`unit`]; `margin` and `name` of a check. Null if it passes or cannot be measured.
+        severity_before: the same for the reference; null unless it also fails.
         xfail: `reason` and `until` of an accepted failure, or null.
     """
     values = (copy(nothing) if seen is None or of is None else of(seen) for nothing, of in FINDING.values())
@@ -139,9 +139,9 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
 
 
 def to_text(session: Session, *, root: str, day: str | None = None) -> str:
-    """Write the record of a session as JSON with sorted keys.
+    """Return the record of a session as JSON with sorted keys.
 
-    Paths in texts become relative to the folder ``root``.
+    Paths in strings become relative to the folder ``root``.
 
     Keys:
         exit: pytest's exit code; null while the session runs, or if it was killed.
@@ -149,7 +149,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         versions: versions of the packages that affect a run.
         searches, findings: in the order of node ids; `findings` contains new and replayed ones.
         orphans: folders with saved scenarios that the session did not replay.
-        warnings, problems: saved scenarios with an expired acceptance; errors outside the tests.
+        warnings, problems: warnings, such as about expired acceptances and skipped tests; errors outside the tests.
     """
     same = partial(portable, root=root)
     told = {node_id: {"result": session.results.get(node_id, "")} for node_id in (*session.searches, *session.seen)}
@@ -197,11 +197,11 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
 
 # The result of a session in a few lines of Markdown, for the page of a CI job.
 #
-# Texts from users, files and exceptions are escaped, so that nothing in them becomes markup, a mention or a link.
+# Strings from users, files and exceptions are escaped, so that nothing in them becomes markup, a mention or a link.
 
-# A list in the summary names at most so many entries.
+# The maximum number of entries in a list of the summary.
 MAX_LISTED = 20
-# The summary describes at most so many failures, over all of its lists.
+# The maximum number of failures that the summary describes, in all its lists together.
 MAX_TOLD = 5
 
 

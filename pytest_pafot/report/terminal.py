@@ -11,8 +11,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from pytest_pafot.algorithms.plain import from_plain
 from pytest_pafot.attribution.sentences import AT_FAULT
-from pytest_pafot.campaign.events import UNTESTED, Note, Progress, Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import described
@@ -20,7 +20,7 @@ from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
-from pytest_pafot.searching.plain import from_plain
+from pytest_pafot.searches.events import UNTESTED, Note, Progress, Search
 from pytest_pafot.support.errors import OF_SEARCH, command, flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, capitalised, fitted_lines, listed, plural, wrapped_to
@@ -32,12 +32,12 @@ WIDTH = 80
 MINUTE, HOUR = 60, 3600
 # If more time than this is left, a line of progress names the option that limits it [s].
 LONG = 600
-# The largest number of lines in the block on a failure below its title, at 80 columns.
+# The maximum number of lines in the block on a failure, at 80 columns and without the title.
 ROOM = 11
-# The counts of random scenarios that failed.
+# The names of the counts of random scenarios that failed.
 FAILING = ("at_fault", "otherwise")
-# The largest numbers that are listed: kinds of failures and new findings of a search, findings that a CI job describes,
-# saved scenarios that were not replayed, and noteworthy replays.
+# The maximum numbers of items in lists: kinds of failures and new findings of a search, findings that a CI job
+# describes, saved scenarios that were not replayed, and replays that need attention.
 MAX_KINDS = 3
 MAX_FINDS = 20
 MAX_ANNOTATED = 5
@@ -54,12 +54,12 @@ DRAWS_IN_WRAPPERS = (
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """Return one line of progress; to fit the width, it shortens the node id, then the end of the line."""
+    """Return one line of progress. If it is too long, shorten the node id, then the end."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     pace = f"{1 / speed:.0f} s per run" if 0 < speed < 1 else f"{plural(round(speed), 'run')}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
-    # If more than a minute is left, how long it is. If much more is left, also how to limit it.
+    # If more than a minute is left, show how long. If much more is left, also show how to limit it.
     seconds, left = progress.left, ""
     if seconds >= MINUTE:
         duration = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
@@ -75,7 +75,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 
 def found_line(seen: Seen) -> str:
-    """Return the line on a new finding while the search continues."""
+    """Return the line that announces a new finding while the search continues."""
     expect = seen.finding.expect
     kinds = {"collision": "a collision", "ads_error": "an error in the policy", "hang": "a decision that hung"}
     what = kinds.get(expect.outcome, "a failure")
@@ -88,12 +88,12 @@ def told(seen: Seen) -> list[str]:
     """Return what happened, in the same words for all reports: headline, sentences and decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
     headline = seen.headline
-    for fault in AT_FAULT.values() if sentences else ():  # The sentences contain it. A replay may differ from its file.
+    for fault in AT_FAULT.values() if sentences else ():  # The sentences state it.
         headline = headline.replace(f"; {fault}", "")
     what = "The check fails: " if expect.check and seen.is_as_saved else ""
     parts = [f"{what}{headline}{'' if headline.endswith(('.', '?')) else '.'}"]
     if expect.outcome in ("ads_error", "hang") and not expect.check and seen.is_as_saved:
-        # The last frame in the policy: its two lines, without the marks below them.
+        # The last frame in the policy: its two lines, without the markers below them.
         lines = [line.rstrip() for line in expect.traceback.splitlines() if line.startswith("  ")]
         who = "environment" if headline.startswith(WORLD_HANG) else "policy"
         parts[0] = f"The {who} failed after {expect.time:.1f} s: {parts[0]}"
@@ -115,21 +115,21 @@ def block_lines(
 
     Args:
         seen: the failure.
-        again: the command that runs it again.
-        search: its search; None if unknown.
+        again: the command that replays the failure.
+        search: the search that found it; None if unknown.
         place: where the test failed, such as ``test_a.py:12``.
-        text: pytest's text on the failure.
+        text: pytest's message about the failure.
         width: width of the terminal in columns.
-        is_whole: whether the block contains everything that is known.
+        is_whole: whether the block contains all known details.
     """
     finding, moment, now = seen.finding, seen.moment, seen.observed
     runs = search.runs if search is not None and now.new else 0
     first, *others = told(seen)
-    # Each text with a number: 0 if it must stay. Otherwise, texts with larger numbers are omitted first: the conditions
-    # in the policy's code, then its decision, then what both vehicles did.
+    # Each text has a number. Texts with 0 must stay. Texts with the largest numbers are omitted first: the conditions
+    # in the policy's code, then its decision, then the actions of both vehicles.
     parts: list[tuple[int, str]] = []
     expect, message = finding.expect, next(iter(text.splitlines()), "").removeprefix("AssertionError: ")
-    if expect.is_crash and text and seen.is_as_saved:  # A replay can fail in another way than its file.
+    if expect.is_crash and text and seen.is_as_saved:  # A replay can fail in a different way than its file.
         first, place = f"{capitalised(' '.join(text.removeprefix('Failed: ').split())).removesuffix('.')}.", ""
     place = place if expect.check is None and (expect.signature.is_property or expect.is_crash) else ""
     if place and message not in first and not seen.is_flaky:
@@ -147,15 +147,15 @@ def block_lines(
     like = f"{1 + seen.alike.runs} of {runs} runs" if seen.alike.runs else "no other run"
     worst = seen.worst if seen.alike.runs or not seen.worst else f"the original run {seen.alike.severity}"
     parts += [(2, f"{capitalised(like)} failed in the same way{worst and f'; {worst}'}.")] if runs > 1 else []
-    parts += [(1, f"The reference {finding.expect.against} passes it.")] if finding.expect.against else []
+    parts += [(1, f"The reference {finding.expect.against} passes this scenario.")] if finding.expect.against else []
     if not now.new:
         parts.append((1, f"Result of the replay: {': '.join(filter(None, [seen.label, seen.detail]))}."))
     elif seen.detail:
-        parts.append((0, f"Its file: {seen.detail}." if seen.path else f"It is not saved: {seen.detail}."))
+        parts.append((0, f"The saved file {seen.detail}." if seen.path else f"It is not saved: {seen.detail}."))
     if now.beyond:
-        accepts = f"the line `xfail:` of {seen.path} accepts `{finding.expect.brief}`, but received `{now.beyond}`"
+        accepts = f"the line `xfail:` of {seen.path} accepts `{expect.brief}`, but this failure is `{now.beyond}`"
         way_out = "Correct the policy, or delete the file, search again and accept the new finding"
-        parts.append((0, f"It is not accepted: {accepts}. {way_out}."))
+        parts.append((0, f"The failure is not accepted: {accepts}. {way_out}."))
     while not is_whole and sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts) > ROOM - bool(again):
         spared = max(parts, key=lambda part: part[0])
         if not spared[0]:
@@ -171,21 +171,21 @@ def block_lines(
 def _remarks_on(seen: Seen) -> list[str]:
     advice = "it was not simplified, because its runs differ" if seen.is_flaky else ""
     flaky, has_wrappers = seen.finding.flaky or "", bool(seen.finding.world.get("wrappers"))
-    # State that survives in the world is no random draw of the policy.
+    # State that survives in the world is not a random generator of the policy.
     if flaky.startswith(NOT_REPEATED) and (has_wrappers or SURVIVES not in flaky):
         advice = DRAWS_IN_WRAPPERS if has_wrappers else DRAWS
     return [text for text in (seen.remark, advice) if text]
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
-    """Return a line on how a finding was simplified; none if it was not."""
+    """Return a line on how a finding was simplified, if it was."""
     if finding.shrunk is None or not finding.shrunk.before:
         return []
     sizes = [each.split(", ") for each in (finding.shrunk.before, described(finding.scenario, finding.longest_run))]
     changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
     how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
     how = how if changed else "to a simpler scenario of the same size"
-    return [how if finding.shrunk.is_minimal else f"{how}; a simpler one may exist"]
+    return [how if finding.shrunk.is_minimal else f"{how}; a simpler scenario may exist"]
 
 
 def event_of(kind: str, text: str) -> Event:
@@ -206,10 +206,10 @@ def failure_message(search: Search) -> str:
 
 
 def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
-    """Summarise a search in at most eight lines at 80 columns; warnings and ``is_whole`` add more."""
+    """Summarise a search in at most eight lines at 80 columns. Warnings and ``is_whole`` add lines."""
     finds, kinds, more, random = ranked(search.finds), search.kinds, search.more_runs, search.random
     drawn, failing = random["runs"], sum(random[each] for each in FAILING)
-    # No proportion next to runs in which the reference also fails: these count as failures of random scenarios.
+    # Omit the proportion if the reference failed in some runs, because these count as failures of random scenarios.
     share = interval_text(failing, drawn) if drawn and not kinds["common"] else ""
     others = ((kinds["npc"], "an NPC was responsible"), (kinds["common"], "the reference also failed"))
     first = f"{kinds['failed'] or 'none'} of {plural(search.runs, 'run')} failed"
@@ -238,9 +238,8 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
         left = [f"{made[what]} of {most} {what}" for what, most in search.asked.items() if made[what] < most]
         texts.append(f"It ended early{', after ' if left else ''}{listed(left)}: {search.reason}")
     folders = dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path)  # noqa: PTH120
-    texts += (
-        [f"Saved in {' and '.join(folders)}{'' if os.environ.get(OF_SEARCH) else '; commit it'}"] if folders else []
-    )
+    tail = "" if os.environ.get(OF_SEARCH) else "; commit the files"
+    texts += [f"Saved in {' and '.join(folders)}{tail}"] if folders else []
     texts += [f"Not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path)]
     texts += [capitalised(search.compared)] if search.compared else []
     if search.no_worse:
@@ -250,7 +249,7 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
         texts += [f"{search.no_interaction} of these runs had no interaction"] if search.no_interaction else []
         texts += [] if search.reached is None else [f"NPCs reached {100 * search.reached:.0f} % of their goals"]
         texts += [capitalised(search.drawn)] if search.drawn else []
-        texts.append(f"Algorithm {search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}")
+        texts.append(f"Algorithm {search.algorithm}, seed {search.seed}, derived from {flag('seed', search.base_seed)}")
     head = wrapped_to(ascii_text(f"{search.node_id}: {texts[0]}."), width)
     said = [*(f"{text}." for text in texts[1:]), *_remarks(search)]
     return [*head, *(line for text in said for line in _wrapped(text, width))]
@@ -277,9 +276,9 @@ def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
 
 
 def against_lines(session: Session, width: int = WIDTH) -> list[str]:
-    """Return for each reference which failures the policy introduces, fixes or shares."""
+    """Count the failures that the policy introduces, fixes or shares, for each reference."""
     lines: list[str] = []
-    if session.incomparable:  # the counts would be incomplete
+    if session.incomparable:  # otherwise, the counts would be incomplete
         return lines
     replays = session.replays
     names = [*(each.against for each in session.ended), *(each.observed.against for each in replays)]
@@ -302,9 +301,9 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
 
 
 def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
-    """Return the summary of a session; empty if there is nothing to report."""
+    """Return the summary of a session, if there is anything to report."""
     lines, drawn = list[str](), set[str]()
-    for search in session.ended:  # A range of scenarios that several searches share is described once.
+    for search in session.ended:  # Describe a range of scenarios only once, even if several searches share it.
         new = replace(search, drawn="") if search.drawn in drawn else search
         lines += search_lines(new, width=width, is_whole=is_whole)
         drawn.add(search.drawn)
@@ -318,18 +317,18 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     # The command `search` prints its own advice.
     if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
         seeds = dict.fromkeys(f"pytest {flag('seed', each.base_seed)}" for each in session.ended if each.finds)
-        what, again = ("it", "this search") if len(session.ended) == 1 else ("the saved scenarios", "the searches")
-        lines += wrapped_to(f"pytest {flag('runs', 0)} replays {what}; {' or '.join(seeds)} repeats {again}.", width)
+        again = f"{' or '.join(seeds)} repeats {'this search' if len(session.ended) == 1 else 'the searches'}"
+        lines += wrapped_to(f"pytest {flag('runs', 0)} replays the saved scenarios; {again}.", width)
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
     for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
-    return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
+    return list(map(ascii_text, lines))  # escapes names and messages, so that each stays on one line
 
 
 def further(page: str) -> tuple[str, str]:
-    """Return where the remaining findings are, a path or a command, and the end of that sentence."""
+    """Return a path or a command that shows the remaining findings, and the end of a sentence about it."""
     return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
 
 

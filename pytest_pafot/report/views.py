@@ -1,4 +1,4 @@
-"""The data that the report page shows of a finding, from its file and the trace of a run."""
+"""The data about a finding for the report page, from its file and the trace of a run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ import numpy as np
 
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.sentences import ALSO
-from pytest_pafot.campaign.harness import collision_in_short
-from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.measures import stretches
@@ -28,6 +26,8 @@ from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lan
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, DrivingStyle
 from pytest_pafot.oracle.run import Check, Run, arrival, lanes_apart
 from pytest_pafot.report.terminal import shrunk_lines
+from pytest_pafot.searches.harness import collision_in_short
+from pytest_pafot.searches.refine.moment import text_of as text_of_action
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
@@ -38,7 +38,7 @@ Numbers = tuple[float | None, ...]
 Place = tuple[float, float, float]
 """A gap that grows with the ego's speed: minimum [m], value at a standstill [m], growth [m per m/s]."""
 Stretch = tuple[float, float, str]
-"""Equal decisions in a row: time of the first [s], time of the next different one [s], and their words."""
+"""A sequence of equal decisions: time of the first [s], time of the next different one [s], and a description."""
 Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
 """A title, sentences, and groups of code lines with the vehicle that they are about."""
 View = dict[str, Any]
@@ -49,16 +49,16 @@ road, positive to the right. Units are m, s since the start of the run, m/s, m/s
 does not exist.
 """
 
-# The road of a run for its picture.
+# The road in the picture of a run.
 
-# The road is drawn for so far past the last position of the ego [m].
+# The length of road that is drawn ahead of the last position of the ego [m].
 BEYOND = 150.0
 
 
 def road_view(trace: Trace, clearance: float) -> View:
-    """Return the data of a run's road.
+    """Return the data of the road in a run.
 
-    A straight road has ``lanes``, their positions across. A curved one has ``shapes`` in world coordinates.
+    A straight road has ``lanes``, their positions across. A curved road has ``shapes`` in world coordinates.
     """
     ahead, behind = places(STYLES[trace.scenario.traffic])
     road: View = {
@@ -85,7 +85,7 @@ def road_view(trace: Trace, clearance: float) -> View:
 
 
 def places(style: DrivingStyle) -> tuple[Place, Place]:
-    """Return the gaps to the cells ahead of and behind the ego, as in :meth:`Director._target`."""
+    """Return the gaps from the ego to the cells ahead and behind, as in :meth:`Director._target`."""
     if not style.is_attentive:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     standing = following_gap(0.0)
@@ -99,9 +99,9 @@ def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
 
 
-# The page's view of a failed check: its figures, and the curve of its values with the bounds.
+# The data of a failed check for the page: its numbers, and the curve of its values with the bounds.
 
-# On the passing side, a check's curve is shown up to so many times the bound or the worst violation, the larger one.
+# On the passing side, the curve of a check ends at this multiple of the bound or of the worst violation.
 REACH = 3
 
 
@@ -113,7 +113,7 @@ def check_tick(trace: Trace, check: Check | None) -> int | None:
 
 
 def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
-    """Return the view of a check that failed in a run; ``ticks`` are the ticks of the frames."""
+    """Return the data of a check that failed in a run. ``ticks`` are the ticks of the frames."""
     tick, hz = check_tick(trace, check), trace.physics_hz
     time = None if tick is None else round(tick / hz, 3)
     view: View = {
@@ -169,14 +169,14 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
 
 
-# Sentences on a check treat times with a smaller difference as equal [s].
+# In sentences about a check, times with a smaller difference count as equal [s].
 LITTLE = 0.05
-# Approximate. The page interpolates between frames.
+# The approximate number. The page interpolates between frames.
 FRAMES_PER_SECOND = 7
 
 
 def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> View:
-    """Return the page's data on a finding, with its run if one was recorded.
+    """Return the data about a finding for the page, with its run if there is one.
 
     Args:
         sighting: the finding.
@@ -187,11 +187,11 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         headline, times, vehicles, road, instructions, decisions, ghost, event, check: data that the scripts draw.
         sentences: what happened, in words.
         besides: the collision of a run in which a check failed; otherwise empty.
-        deed: the sentence on what the ego did wrong; empty if it is not at fault.
-        moment: the decision that could have avoided it, or the traceback of an exception.
-        happened: everything else that is known.
+        deed: the sentence about the ego's error; empty if the ego is not at fault.
+        moment: the decision that could have avoided the failure, or the traceback of an exception.
+        happened: all other known details.
         assertion: the line that failed, or the exception.
-        yaml: content of its file.
+        yaml: content of the file.
     """
     finding, run = sighting.finding, sighting.run
     trace = None if run is None else run.trace
@@ -207,7 +207,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         short = _check_in_short(check, run.trace)
         said = () if written in headline else (f"{capitalised(short)}.",)
         headline = headline.replace(written, capitalised(short) if headline.startswith(written) else short)
-        if sentences:  # they are about the collision, and would seem to be about the check
+        if sentences:  # they are about the collision, but would seem to be about the check
             besides, collision = f"{ALSO} {collision_in_short(run)}.", _prose([first, *sentences])
         sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
@@ -279,7 +279,7 @@ def _check_sentences(check: View) -> tuple[str, ...]:
 
 
 def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
-    # Without the sentences above the picture, and without the instructions, which the picture and the file show.
+    # Omit the sentences above the picture, and the instructions, which the picture and the file show.
     lines = map(str.strip, run.explain(instructions=False).splitlines())
     return [line for line in lines if line and line not in sentences]
 
@@ -311,7 +311,7 @@ def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
     times = (tick / trace.physics_hz for tick in trace.decision_ticks)
     decided = zip(
         times, (_decided(each, names) for each in trace.actions), strict=False
-    )  # the last one may have raised
+    )  # the last decision may have raised
     starts = [(round(next(group)[0], 3), words) for words, group in groupby(decided, key=itemgetter(1))]
     ends = [*starts, (round(trace.duration, 3), "")]
     return tuple((start, end, words) for (start, words), (end, _) in pairwise(ends))
@@ -399,7 +399,7 @@ def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
 
 
 def zone_view(zone: Zone, length: float, width: float) -> View:
-    """Return a crossing NPC's path and the area of its conflict zone, given the NPC's length and a drawn width [m]."""
+    """Return the path of an NPC with a length [m], and the area of its conflict zone, drawn with a width [m]."""
     if not zone.line:
         return {"name": zone.way, "way": (), "area": (), "width": 0.0}
     # An NPC's centre is in the zone while any part of it may touch a vehicle there, so the area is shorter than the
@@ -417,7 +417,8 @@ def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
-    # As executed if there is a run. The repair may have changed a cell, so `requested` is next to `cell`.
+    # The instructions as executed, if there is a run. The repair may have changed a cell, so both `requested` and
+    # `cell` are stored.
     wanted = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones

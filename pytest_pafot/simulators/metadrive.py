@@ -1,6 +1,7 @@
-"""MetaDrive as a world, and its own policies (``pip install "pytest-pafot[metadrive]"``).
+"""Worlds in MetaDrive, and MetaDrive's own policies (``pip install "pytest-pafot[metadrive]"``).
 
-MetaDrive's physics moves the ego. The package moves the other vehicles and puts MetaDrive's vehicles there.
+MetaDrive's physics moves the ego. The package moves the NPCs, and puts other vehicles of MetaDrive at their
+positions.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ VEHICLE = VehicleType(name="metadrive", length=4.515, width=1.852)
 WHEELBASE = 2.469
 # The duration of a substep of the physics [s], and their number in a tick.
 SUBSTEP, SUBSTEPS = 0.02, 5
-# MetaDrive's sensors without pictures.
+# MetaDrive's sensors that need no images.
 DETECTORS = ("lidar", "side_detector", "lane_line_detector")
 
-# What a native policy of MetaDrive receives.
+# The inputs that a native policy of MetaDrive can receive.
 Observed = Literal["lidar", "vehicle"]
 
 
@@ -49,21 +50,21 @@ def metadrive(
     start_at: float | None = None,
     **world: Unpack[WorldArguments],
 ) -> SimulatorWorld:
-    """Return a world in which MetaDrive's physics moves the ego. It needs ``pytest-pafot[metadrive]``.
+    """Return a world in which MetaDrive's physics moves the ego. This needs ``pytest-pafot[metadrive]``.
 
     Args:
-        map: blocks of the road in order, each a letter: ``"S"`` for a straight block or ``"C"`` for a curve. A block is
+        map: string with one letter per block of the road: ``"S"`` for a straight block, ``"C"`` for a curve. A block is
             40 to 80 m long. A run ends at the end of the road.
         lanes: number of lanes, 3.5 m wide.
         observation: input of the policy: None for a planner; ``"lidar"`` for the array of MetaDrive's
             ``LidarStateObservation``, 275 numbers by default; ``"vehicle"`` for its ``BaseVehicle``. In the last two
             cases, the policy returns steering and pedal from -1 to 1, as in ``env.step``.
-        sensors: settings of the lidar observation that differ from ``{"lidar": {"num_others": 4}}``: ``num_lasers`` and
-            ``distance`` [m] of ``"lidar"``, ``"side_detector"`` and ``"lane_line_detector"``, and ``num_others`` of
-            ``"lidar"``.
+        sensors: changes of the sensor settings in the lidar observation, ``{"lidar": {"num_others": 4}}`` by default:
+            ``num_lasers`` and ``distance`` [m] of ``"lidar"``, ``"side_detector"`` and ``"lane_line_detector"``, and
+            ``num_others`` of ``"lidar"``.
         speed_limit: speed limit [m/s]. The engine of MetaDrive's vehicle reaches 22.2 m/s.
         start_lane, start_speed, start_at: lane (from 0 at the left), speed [m/s] and position along the lane [m] of the
-            ego at the start, on a road with a curve or a road that is too short for ``duration``.
+            ego at the start, if the road has a curve or is too short for ``duration``.
         world: other arguments of :class:`pytest_pafot.SimulatorWorld`. By default, ``ads_hz`` is 10 and ``duration`` is
             15 s.
 
@@ -100,10 +101,10 @@ class MetaDrive(Simulator):
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
             received = "none" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
-            fix = f"in a Python 3.11 environment, which MetaDrive needs: {install('metadrive')}"
+            fix = f"in an environment with Python 3.11, which MetaDrive needs, run {install('metadrive')}"
             raise WorldError(field="pafot.metadrive", expected="MetaDrive 0.4.3", received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
-            expected = 'letters of straight blocks and curves, such as "SSSCSS"'
+            expected = 'a string of "S" (straight) and "C" (curve), such as "SSSCSS"'
             raise WorldError(field="map", expected=expected, received=f"{map!r:.100}")
         if observation not in (None, "lidar", "vehicle"):
             expected = 'None for a planner, "lidar" or "vehicle"'
@@ -128,7 +129,7 @@ class MetaDrive(Simulator):
         return self._data
 
     def _opened(self) -> Any:
-        # Another world may have used the engine in the meantime. The environment is then made again.
+        # If another world has used the engine in the meantime, the environment must be made again.
         if self._env is None or not self._env.is_open:
             from pytest_pafot.simulators.metadrive_engine import Env  # noqa: PLC0415  (imports MetaDrive, in 1.5 s)
 
@@ -153,7 +154,7 @@ class MetaDrive(Simulator):
                 npc.navigation.update_localization(npc)  # finds its lane, which MetaDrive's IDM reads
 
     def step(self, controls: Sequence[Any]) -> None:
-        # NPCs are put where they are at the end of the tick.
+        # Put the NPCs at their positions at the end of the tick.
         self._put(controls[1:])
         engine, control = self._env.engine, controls[0]
         pedals = self._pedals(control) if control.action is None else control.action
@@ -162,7 +163,7 @@ class MetaDrive(Simulator):
         engine.after_step()
 
     def _pedals(self, control: Any) -> tuple[float, float]:
-        # From -1 to 1, for an acceleration and a steering angle of the package's model.
+        # Steering and pedal, from -1 to 1, for an acceleration and a steering angle of the package's model.
         vehicle = self._ego
         wheels = math.atan(math.tan(control.steering) * WHEELBASE / self._length)
         # The forces of the engine and the impulses of brakes act on each of four wheels.
@@ -208,7 +209,7 @@ def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
 
 
 class Expert:
-    """MetaDrive's PPO expert for the lidar observation, with the actions of ``numpy_expert.expert``."""
+    """MetaDrive's PPO expert for the lidar observation. It returns the actions of ``numpy_expert.expert``."""
 
     def __init__(self) -> None:
         self._layers = _weights()
@@ -262,9 +263,9 @@ class OwnPolicy:
         is_own = isinstance(world, SimulatorWorld) and world.maker is MetaDrive
         stated = world.to_dict()["simulator"] if is_own else {}
         if (stated.get("observation"), stated.get("sensors")) != (self.observation, None):
-            received = f"one of pafot.metadrive with {stated}" if is_own else f"{world!r:.200}"
+            received = f"pafot.metadrive with {stated}" if is_own else f"{world!r:.200}"
             raise refused_policy(
-                f"a world of pafot.metadrive(observation={self.observation!r}) for this policy of MetaDrive",
+                f"the world pafot.metadrive(observation={self.observation!r}) for this policy of MetaDrive",
                 received,
                 f"write `world=pafot.metadrive(observation={self.observation!r})`",
             )

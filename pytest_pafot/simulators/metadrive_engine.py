@@ -1,4 +1,4 @@
-"""Changes of MetaDrive for :mod:`pytest_pafot.simulators.metadrive`. Importing this module requires MetaDrive."""
+"""Changes to MetaDrive for :mod:`pytest_pafot.simulators.metadrive`. Importing this module requires MetaDrive."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ VEHICLES = CollisionGroup.Vehicle.getLowestOnBit()
 
 
 class OrderedLidar(Lidar):  # type: ignore[misc]
-    """A lidar whose objects have an order. MetaDrive keeps them in sets, in the order of their addresses in memory."""
+    """A lidar that returns objects in a fixed order. MetaDrive's sets have the order of addresses in memory."""
 
     def get_surrounding_objects(self, vehicle: Any, radius: int = 50) -> list[Any]:
         return sorted(super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position))
@@ -39,7 +39,7 @@ class OrderedLidar(Lidar):  # type: ignore[misc]
 
 
 class Engine(BaseEngine):  # type: ignore[misc]
-    """An engine that does not download models and textures, which only pictures need."""
+    """An engine that does not download models and textures, which only images need."""
 
     @staticmethod
     def try_pull_asset() -> None:
@@ -47,12 +47,12 @@ class Engine(BaseEngine):  # type: ignore[misc]
 
 
 class Env(MetaDriveEnv):  # type: ignore[misc]
-    """An environment without pictures and traffic, in which nothing is left of an earlier run.
+    """An environment without images and traffic, in which a run does not depend on earlier runs.
 
     Args:
         blocks: letters of the map.
         lanes: number of lanes.
-        sensors: parts of MetaDrive's ``vehicle_config`` about sensors.
+        sensors: sensor settings in MetaDrive's ``vehicle_config``.
     """
 
     def __init__(self, blocks: str, lanes: int, sensors: Mapping[str, Any]) -> None:
@@ -69,14 +69,14 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
                 "use_render": False,
                 "image_observation": False,
                 "log_level": logging.ERROR,
-                "force_destroy": True,  # vehicles that are used again keep the state of steering and wheels
+                "force_destroy": True,  # reused vehicles would keep the state of steering and wheels
                 "sensors": {"lidar": (OrderedLidar,)},
                 "map_config": {"type": "block_sequence", "config": blocks, "lane_num": lanes},
                 "traffic_density": 0.0,
                 "random_spawn_lane_index": False,
                 "num_scenarios": 1,
                 "start_seed": 0,
-                "vehicle_config": {"vehicle_model": "static_default", **sensors},  # the other one's forces are random
+                "vehicle_config": {"vehicle_model": "static_default", **sensors},  # the default model has random forces
             }
         )
         self._own = Engine(self.config)
@@ -84,24 +84,24 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
 
     @property
     def is_open(self) -> bool:
-        """True until this environment is closed, or another one is made."""
+        """True until this environment is closed or another one is made."""
         return get_engine() is self._own
 
     def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
         """Start a run with the agent at a position [m], heading [rad] and speed [m/s]."""
-        # Not by set_position, because only a new vehicle is told the checkpoints ahead of its place.
+        # Not with set_position, because only a new vehicle gets the checkpoints ahead of its position.
         self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (tuple(position), heading)
         self.reset(seed=0)  # 0 is the map; nothing in a run is random
-        # Vehicles pass through each other: the package says who touches whom, and Bullet would push them.
+        # Vehicles pass through each other, because Bullet would push them. The package detects contacts.
         self.engine.physics_world.dynamic_world.setGroupCollisionFlag(VEHICLES, VEHICLES, False)
         velocity = (math.cos(heading), math.sin(heading)), speed
         self.agent.set_velocity(*velocity)
-        self.engine.step_physics_world()  # positions are those before the last substep, and so there has been one
-        self.agent.set_velocity(*velocity)  # which may have changed it
+        self.engine.step_physics_world()  # MetaDrive returns positions before the last substep, so there must be one
+        self.agent.set_velocity(*velocity)  # the substep may have changed it
         return self.agent
 
     def lines(self) -> list[list[tuple[float, float]]]:
-        """Return the centre line of each lane along the map, from the left [m]. This ends a running run."""
+        """Return the centre line of each lane along the map, from the left [m]. This ends the current run."""
         self.reset(seed=0)
         ways = self.agent.navigation.checkpoints
         graph = self.current_map.road_network.graph
@@ -116,7 +116,7 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         return lines
 
     def add_other(self, length: float, width: float, position: Sequence[float], heading: float) -> Any:
-        """Return a new vehicle that stays where it is put, until the next run."""
+        """Return a new vehicle that does not move on its own. The next run removes it."""
         size = {"length": length, "width": width, "height": 1.5, "mass": 1100.0}
         # The traffic manager removes its vehicles at the next reset.
         spawn = self.engine.traffic_manager.spawn_object

@@ -1,4 +1,4 @@
-"""Networks of SUMO as a world (``pip install "pytest-pafot[sumo]"``).
+"""Worlds on the networks of SUMO (``pip install "pytest-pafot[sumo]"``).
 
 The package's own model moves the ego and the NPCs along the lanes of the network.
 """
@@ -46,8 +46,8 @@ def sumo(
             route applies.
         hz: ticks per second.
         start_lane, start_speed, start_at: on a route with bends, lane (from 0 at the left of the first edge), speed
-            [m/s] and position along the lane [m] of the ego at the start. The default is 22 m/s or the limit, with
-            enough road behind it.
+            [m/s] and position along the lane [m] of the ego at the start. The default is 22 m/s or the limit, at the
+            first position with enough road behind the ego.
         world: other arguments of :class:`pytest_pafot.SimulatorWorld`, such as ``ads_hz``, ``duration``, ``limits``.
 
     Raises:
@@ -110,7 +110,7 @@ class Sumo(Simulator):
         now = hashlib.sha256(Path(net).read_bytes()).hexdigest()[:16]
         if digest not in ("", now):
             fix = "use the network of the commit that contains the file, or search again"
-            raise WorldError(field="net", expected=f"{net}, unchanged", received="another content", fix=fix)
+            raise WorldError(field="net", expected=f"{net} as it was saved", received="a changed file", fix=fix)
         self._data |= {"net": net, "digest": now, "route": way.edges}
 
     def to_dict(self) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class Sumo(Simulator):
         self._states = [(each.x, each.y, each.heading, each.speed) for each in controls]
 
     def states(self) -> list[tuple[float, ...]]:
-        # The front of each vehicle, with compass headings.
+        # The positions of the fronts, with compass headings.
         return self._states
 
 
@@ -136,7 +136,7 @@ class Way:
 
     def __init__(self, path: str, route: Sequence[str] | None) -> None:
         try:
-            from sumolib.net import readNet  # noqa: PLC0415  (comes with libsumo, which not everybody has)
+            from sumolib.net import readNet  # noqa: PLC0415  (part of libsumo, which is optional)
         except ImportError as error:
             expected, fix = "an installed sumolib", install("sumo")
             raise WorldError(field="pafot.sumo", expected=expected, received=f"{error}", fix=fix) from None
@@ -146,7 +146,7 @@ class Way:
             raise WorldError(field=f"net, {path}", expected=expected, received="no regular file")
         try:
             self._net = readNet(path, withInternal=True)
-        except Exception as error:  # noqa: BLE001  (of a reader of XML, of its handler, or of the file)
+        except Exception as error:  # noqa: BLE001  (of the XML reader, of its handler, or of the file)
             received = f"{type(error).__name__}: {error}"
             raise WorldError(field=f"net, {path}", expected=expected, received=received) from None
         self._edges = self._connected(self._ends() if route is None else route)
@@ -154,7 +154,7 @@ class Way:
         # The centre line of each lane along the route, from the left [m].
         columns = self._columns()
         self.lines = [_line(columns[number]) for number in sorted(columns)]
-        # The number of lanes to the left of those of the first edge, and the lanes of that edge, from 0 at its left.
+        # The number of lanes to the left of the first edge's lanes, and the lanes of this edge, from 0 at its left.
         self.left = sum(number < 0 for number in columns)
         first_lanes = [
             sorted(columns).index(number) for number, lanes in columns.items() if lanes[0].getEdge() is self._edges[0]
@@ -166,7 +166,7 @@ class Way:
             first, after = self.edges[0], longest[0].getEdge().getID()
             received = f"{first!r}, whose lanes end before the lanes that start in {after!r}"
             expected = "a route on which the longest lane starts in the first edge"
-            raise self._refused(expected, received, f"start with another edge, such as {after!r}")
+            raise self._refused(expected, received, f"start the route with another edge, such as {after!r}")
         first = self._cars(self._edges[0])
         self.width = float(first[0].getWidth())
         self.limit = min(float(lane.getSpeed()) for edge in self._edges for lane in self._cars(edge))
@@ -191,7 +191,7 @@ class Way:
         for name in route:
             if not self._net.hasEdge(name) or not self._cars(self._net.getEdge(name)):
                 near = [each.getID() for each in self._net.getEdges(withInternal=False) if self._cars(each)][:6]
-                raise self._refused("edges for passenger cars", repr(name), f"there are {', '.join(near)}")
+                raise self._refused("edges for passenger cars", repr(name), f"use edges such as {', '.join(near)}")
             edge = self._net.getEdge(name)
             if edges:
                 found, _ = self._net.getShortestPath(edges[-1], edge, vClass="passenger")
@@ -209,9 +209,9 @@ class Way:
         return [lane for lane in reversed(edge.getLanes()) if lane.allows("passenger")]
 
     def _columns(self) -> dict[int, list[Any]]:
-        # By its number from the left, each lane has its pieces in order. A lane continues in the next edge if it is
-        # connected to the lane that most of its neighbours move to, as many positions to the left or right. A lane that
-        # ends is omitted behind its end. Of two parts with the same number, the shorter one is omitted.
+        # The pieces of each lane, in order, by the number of the lane from the left. A lane continues in a lane of the
+        # next edge if they are connected, and if most lanes move as many positions to the left or right. If two pieces
+        # have the same number, the shorter one is omitted.
         shift, parts = 0, {number: [[lane]] for number, lane in enumerate(self._cars(self._edges[0]))}
         for before, after in zip(self._edges, self._edges[1:], strict=False):
             old, new = self._cars(before), self._cars(after)
@@ -220,7 +220,7 @@ class Way:
                 for each in before.getOutgoing().get(after, ())
                 if each.getFromLane() in old and each.getToLane() in new
             ]
-            # How far most lanes move to the side from one edge to the next.
+            # The number of positions that most lanes move to the right from one edge to the next.
             moves = [there - here for here, there, _ in joined]
             move = max(sorted(set(moves), key=abs), key=moves.count)
             shift -= move
@@ -253,6 +253,6 @@ def _line(lanes: Sequence[Any]) -> list[tuple[float, float]]:
     points: list[tuple[float, float]] = []
     for lane in lanes:
         for x, y, *_ in lane.getShape():
-            if not points or math.dist(points[-1], (x, y)) > 0.05:  # nets have centimetres
+            if not points or math.dist(points[-1], (x, y)) > 0.05:  # networks are exact to a centimetre
                 points.append((x, y))
     return points

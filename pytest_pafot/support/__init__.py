@@ -1,4 +1,4 @@
-"""Tools for all packages of the plugin."""
+"""A clock, late imports, and the isolation of policies in a test."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from importlib import import_module
 from typing import Any
 
 # A monotonic clock [s], even if a test freezes the time: freezegun replaces functions of `time` and classes of
-# `datetime` in all modules, but no `partial`.
+# `datetime` in all modules, but not a `partial`.
 monotonic = partial(time.perf_counter)
 
 _ISOLATES: list[Callable[[], bool]] = [lambda: False]
 
 
 def import_late(name: str) -> Any:
-    """Import a library that only some runs need, while ``datetime`` has its original classes."""
-    # Parts of pandas are compiled for these classes. If it is first imported with those of freezegun, the process dies.
+    """Import a library while ``datetime`` has its original classes, even if a test freezes the time."""
+    # Parts of pandas are compiled for these classes. If the import finds freezegun's classes instead, the process dies.
     shown = {each: vars(datetime)[each] for each in ("date", "datetime")}
     for each, cls in shown.items():
         setattr(datetime, each, next(base for base in cls.__mro__ if base.__module__ == "datetime"))
@@ -32,7 +32,7 @@ def import_late(name: str) -> Any:
 @contextmanager
 def isolating(asked: Callable[[], bool]) -> Iterator[None]:
     """Make :func:`isolates` call a function in this context."""
-    _ISOLATES.append(asked)  # called only if needed, since it may reject an option
+    _ISOLATES.append(asked)  # called only if needed, because it may reject an option
     try:
         yield
     finally:
@@ -40,6 +40,6 @@ def isolating(asked: Callable[[], bool]) -> Iterator[None]:
 
 
 def isolates() -> bool:
-    """Return whether a policy first drives in another process, or False outside of a test."""
-    # The plugin knows it of the running test, and the fixture `pafot_simulate` does not get it as an argument.
+    """Return whether a policy must first drive in another process, or False outside of a test."""
+    # Only the plugin knows the options of the running test. The fixture `pafot_simulate` does not receive them.
     return _ISOLATES[-1]()

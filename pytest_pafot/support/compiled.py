@@ -1,7 +1,7 @@
-"""Whether the modules with a ``.pxd`` file run compiled.
+"""The choice between compiled and interpreted modules.
 
-They do only if all were built from the sources next to them. ``setup.py`` runs this file, so it imports nothing of the
-package.
+Modules with a ``.pxd`` file run compiled only if all were built from the sources next to them. This file imports
+nothing from the package, because ``setup.py`` runs it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
 FOLDERS = ("criticality", "world/kernel")
-# The module with Cython's own code for arrays, which the others import. The record is next to it.
+# The module with Cython's code for arrays, which the other modules import. The record of the build is next to it.
 SHARED = "_cython"
 FORCED, ABSENT = "PAFOT_KERNEL", "not compiled at installation"
 
 
 def typed(*folders: str) -> list[Path]:
-    """Return the modules in some folders that have types for the compiler, without suffixes."""
-    # Editors keep files such as `.#loop.pxd` there.
+    """Return the modules in some folders that have a ``.pxd`` file, as paths without suffixes."""
+    # Editors create files such as `.#loop.pxd` there.
     return [path.with_suffix("") for each in folders for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))]
 
 
@@ -38,35 +38,35 @@ def record() -> str:
 
 
 def why_interpreted() -> str:
-    """Return why the sources run interpreted, or an empty string if they run compiled."""
+    """Return why the modules run interpreted, or an empty string if they run compiled."""
     if os.environ.get("PAFOT_KERNEL") == "interpreted":
         return FORCED
     modules = [PACKAGE / SHARED, *typed(*FOLDERS)]
     if not any(path.with_suffix(suffix).exists() for suffix in EXTENSION_SUFFIXES for path in modules):
         return ABSENT
-    # Sources that were edited since, or are from another commit, must not run with older compiled ones.
+    # Sources that have changed since the build must not run together with compiled modules.
     made = PACKAGE / f"{SHARED}{EXTENSION_SUFFIXES[0]}.txt"
     lines = made.read_text("utf-8").splitlines() if made.exists() else []
     other = {line.rpartition(" ")[2] for line in {*record().splitlines()}.symmetric_difference(lines)}
     other |= {path.name for path in modules if not path.with_suffix(EXTENSION_SUFFIXES[0]).exists()}
     if not other:
         return ""
-    return f"the compiled modules do not match {min(other)}. Install again, in a clone with `python -m pip install .`"
+    return f"the compiled modules do not match {min(other)}. Install again (in a clone: `python -m pip install .`)"
 
 
 def load(package: str) -> None:
-    """Import all typed modules of a package, never compiled and interpreted ones together."""
+    """Import all typed modules of a package, either all compiled or all interpreted."""
     folder, reason = sys.modules[package].__path__[0], why_interpreted()
     sys.path_importer_cache.pop(folder, None)
     if reason not in ("", ABSENT):
         sys.path_importer_cache[folder] = FileFinder(folder, (SourceFileLoader, SOURCE_SUFFIXES))
     if reason not in ("", FORCED, ABSENT):
-        _warn(f"pytest-pafot runs interpreted, about twenty times slower: {reason}")
+        _warn(f"pytest-pafot runs interpreted, which is about twenty times slower: {reason}")
     for path in typed(folder):
         import_module(f"{package}.{path.stem}")
 
 
 @cache
 def _warn(text: str) -> None:
-    # In one line and once. No filter can turn it into an error, which would leave half of the package imported.
+    # Print one line, only once. No filter can turn it into an error, which would leave half of the package imported.
     warnings.showwarning(RuntimeWarning(text), RuntimeWarning, __file__, 1, line="")

@@ -15,7 +15,7 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class OutOfTime(BaseException):
-    """The end of a run at the time limit of its search, which a policy does not catch."""
+    """The exception that ends a run at the time limit of its search. Policies do not catch it."""
 
 
 class RequestError(ArgumentTypeError):
@@ -23,7 +23,7 @@ class RequestError(ArgumentTypeError):
 
 
 class FieldError(ValueError):
-    """A value that breaks a rule, with the parts of its message."""
+    """An error about an invalid value, with the parts of its message."""
 
     def __init__(
         self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
@@ -46,7 +46,7 @@ def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 
-# As the lower limit of a number, the smallest positive float excludes zero.
+# The smallest positive float, a lower limit that excludes zero.
 POSITIVE = math.ulp(0.0)
 
 
@@ -59,7 +59,7 @@ def checked_number(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> float:
-    """Return a value as a float, or raise ``error`` if it is no finite number from ``least`` to ``most``."""
+    """Return a value as a float, or raise ``error`` if it is not a finite number from ``least`` to ``most``."""
     number = plain_number(value)
     if number is None or not least <= number <= most:
         raise error(field=field, expected=expected, received=f"{value!r:.100}")
@@ -75,7 +75,7 @@ def checked_whole(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> int:
-    """Return a value as an int, or raise ``error`` if it is no whole number from ``least`` to ``most``."""
+    """Return a value as an int, or raise ``error`` if it is not a whole number from ``least`` to ``most``."""
     number = plain_whole(value)
     if number is None or not least <= number <= most:
         raise error(field=field, expected=expected, received=f"{value!r:.100}")
@@ -89,7 +89,7 @@ def plain_number(value: object) -> float | None:
     try:
         number = int(value) if isinstance(value, Integral) else float(value)
         return number if math.isfinite(number) else None
-    except OverflowError:  # An int that no float can hold.
+    except OverflowError:  # The int is too large for a float.
         return None
 
 
@@ -108,11 +108,11 @@ class WorldError(FieldError):
 
 
 class DriverError(WorldError):
-    """A driver that a world could not simulate as the ego."""
+    """A driver that a world cannot simulate as the ego."""
 
 
 class AdsFactoryError(TypeError):
-    """A factory that makes no policy for the world of the search."""
+    """A factory that does not make a policy for the world of the search."""
 
 
 class BadAction(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
@@ -131,9 +131,9 @@ class CorpusError(FieldError):
         self.path, self.line = path, line
 
 
-# What messages name as a way out: commands, options, packages and pages. A test runs what each of these can make.
+# The commands, options and packages that messages recommend. A test runs everything that these functions return.
 
-# The environment variable with the command `search` that started the pytest session, as it was typed.
+# The environment variable with the command that started the pytest session, such as `search`, as it was typed.
 OF_SEARCH = "PYTEST_PAFOT_SEARCH"
 
 # The environment variable with the options of the command `replay` for scenarios that this `search` saves.
@@ -152,14 +152,14 @@ def flag(name: str, value: object = None) -> str:
 
 
 def install(name: str) -> str:
-    """Return the command that installs an optional part of this package."""
+    """Return the command that installs an extra of this package."""
     return f"pip install 'pytest-pafot[{name}]'"
 
 
 def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved: str = "") -> str:
     """Return the command that runs a part of a session again, or only the scenario with the id ``saved``."""
-    # The commands `search` and `replay` leave no test files that pytest could run. So in their sessions it is the
-    # command itself, or `replay` for one saved scenario.
+    # The commands `search` and `replay` leave no test files that pytest could run. So in their sessions, the result is
+    # the command itself, or `replay` for one saved scenario.
     if not environ.get(OF_SEARCH):
         return shlex.join([*words, *options])
     if saved and OF_REPLAY in environ:
@@ -171,16 +171,16 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
 
 def asserts_run(function: Callable[..., Any]) -> bool:
     """Return whether assertions run in a function."""
-    # `python -O` switches off all assertions that pytest does not rewrite. This package needs none.
+    # `python -O` disables all assertions that pytest does not rewrite. This package does not need assertions.
     known = getattr(function, "__globals__", None) or getattr(type(function).__call__, "__globals__", {})
     return __debug__ or "@pytest_ar" in known or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
 
 
 def check_asserts(holds: Callable[..., Any]) -> None:
-    """Raise a ``RequestError`` if a user's function cannot assert."""
-    if not asserts_run(holds):  # every run would pass it
+    """Raise a ``RequestError`` if the assertions of a function do not run."""
+    if not asserts_run(holds):  # otherwise, every run would pass
         name = getattr(holds, "__name__", type(holds).__name__)
         raise RequestError(
-            f"{name}: expected a Python that runs assertions, received one with -O or PYTHONOPTIMIZE, in which every "
-            "run passes. Run without these"
+            f"{name}: expected a function whose assertions run, but Python skips them with -O or PYTHONOPTIMIZE, so "
+            "every run would pass. Run Python without -O and PYTHONOPTIMIZE"
         )

@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all, and calls of git."""
+"""Writes that are complete or have no effect, and calls of git."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def hold(descriptor: int) -> bool:
 
 
 def is_held(descriptor: int, pid: int) -> bool:
-    """Return whether the process that wrote a file still holds its lock, or, without locks, is alive."""
+    """Return whether the process that wrote a file holds its lock, or is alive if there are no locks."""
     try:
         _lock(descriptor)
     except OSError as error:
@@ -49,7 +49,7 @@ def is_held(descriptor: int, pid: int) -> bool:
 
 def pid_of(path: Path) -> int:
     """Return the process id in a file's name, or 0."""
-    # It is the first part of the name, or follows a dot and a word.
+    # The id is the first part of the name, or follows a dot and a word.
     digits = re.match(r"(?:\.[a-z]+-)?(\d{1,11})-", path.name, re.ASCII)
     return int(digits[1]) if digits else 0
 
@@ -61,12 +61,12 @@ def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # any other error means that it belongs to another user
+        return not isinstance(error, ProcessLookupError)  # other errors mean that another user owns the process
     return True
 
 
 def _lock(descriptor: int) -> None:
-    if sys.platform == "win32":  # where no lock lets others read the file
+    if sys.platform == "win32":  # its locks would prevent other processes from reading the file
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
@@ -76,30 +76,30 @@ T = TypeVar("T")
 # The prefix of temporary files.
 TEMPORARY = ".pafot-"
 
-# The advice for each error number. `{}` stands for how to name another folder.
+# The advice for each error number. `{}` is replaced by how to name another folder.
 _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
         errno.ENOSPC: "free some space on the disk, {}",
-        errno.EDQUOT: "free some of your quota of the disk, {}",
+        errno.EDQUOT: "free some of your disk quota, {}",
         errno.EROFS: "the file system is read-only: mount it with write access, {}",
         errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
         errno.ENOTDIR: "there is a file where a folder should be: rename or delete it, {}",
         errno.EEXIST: "there is a file where a folder should be: rename or delete it, {}",
         errno.EISDIR: "there is a folder with that name: rename or delete it, {}",
         errno.ENOENT: "create the folder that should contain it, {}",
-        errno.EINVAL: "a link or a special file is in its place: delete that, {}",
+        errno.EINVAL: "there is a link or a special file with that name: delete it, {}",
         errno.ELOOP: "a link in the path points to itself: remove it, {}",
-        errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
-        errno.ENFILE: "close files that programs on this machine have open, or raise its limit of open files",
+        errno.EMFILE: "close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
+        errno.ENFILE: "close files in other programs on this machine, or raise its limit on open files",
         errno.EIO: "the disk or the network failed: check it, {}",
     }
 )
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file and create its folders; readers always find the complete old or new content.
+    """Write a file so that readers always find the complete old or new content.
 
-    A link is replaced. A stream receives the content.
+    Missing folders are created. A link is replaced. A stream receives the content.
 
     Raises:
         OSError: if the file cannot be written; nothing is left behind.
@@ -112,10 +112,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def append(path: Path, content: str | bytes) -> None:
-    """Append to a file, but not through a link, or write into a stream.
+    """Append to a file or write into a stream, but not through a link.
 
     Raises:
-        OSError: if the path is a link or cannot be written; the file then has its old length.
+        OSError: if the path is a link or cannot be written; the file keeps its old length.
     """
     rest = memoryview(content.encode() if isinstance(content, str) else content)
     with path.open("ab") if is_stream(path) else open_regular(path, "ab") as file:
@@ -130,13 +130,13 @@ def append(path: Path, content: str | bytes) -> None:
 
 
 def is_stream(path: Path) -> bool:
-    """Return whether a path is a pipe or a character device, or a system link to one like ``/dev/stdout``."""
-    # Content is written into it, since a regular file in its place would take it away from every process.
+    """Return whether a path is a pipe or a character device, or a system link to one, such as ``/dev/stdout``."""
+    # Content is written into it, because a regular file in its place would take it away from every process.
     folder = os.path.realpath(path.parent)
     is_of_system = folder == "/dev" or re.fullmatch(r"/proc/\d+/fd", folder) is not None
     try:
         mode = path.stat().st_mode if is_of_system else path.lstat().st_mode
-    except (OSError, ValueError):  # there is no such file, or it cannot be written either
+    except (OSError, ValueError):  # the file does not exist, or cannot be written either
         return False
     return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or (is_of_system and path.is_symlink())
 
@@ -147,7 +147,7 @@ def write_if_free(path: Path, content: bytes) -> bool:
 
 
 def way_out(error: OSError, elsewhere: str) -> str:
-    """Return advice for a file that cannot be written; ``elsewhere`` is how to name another folder."""
+    """Return advice for a file that cannot be written. ``elsewhere`` is how to name another folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
@@ -160,7 +160,7 @@ def written_into(folder: Path) -> Iterator[None]:
         # Name an existing file that is in the way, but not a temporary file that was being written.
         what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
         raise RequestError(
-            f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
+            f"--out: expected a writable folder, received {what}: {error.strerror or error}; "
             f"{way_out(error, 'or give another folder')}"
         ) from None
 
@@ -168,7 +168,7 @@ def written_into(folder: Path) -> Iterator[None]:
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
     """Open a regular file in a binary mode, or raise an ``OSError`` for a link, pipe or device."""
     with contextlib.suppress(FileNotFoundError):  # some modes create the file
-        _check_regular(path, path.lstat())  # before opening, because opening alone has effects on some devices
+        _check_regular(path, path.lstat())  # before opening, because opening some devices has side effects
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
     try:
         _check_regular(path, os.fstat(file.fileno()))  # it may have been replaced in between
@@ -181,12 +181,12 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 def remove_unfinished(folder: Path) -> None:
     """Remove the temporary files of killed processes from a folder."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(OSError):  # a leftover does no harm, since no code reads files with such a name
+        with contextlib.suppress(OSError):  # a leftover does no harm, because no code reads files with such a name
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
                 with contextlib.suppress(PermissionError):  # Windows does not remove open files
-                    path.unlink(missing_ok=True)  # while the lock is held, so that no process starts to write to it
+                    path.unlink(missing_ok=True)  # during the lock, so that no process starts to write to the file
             path.unlink(missing_ok=True)
 
 
@@ -197,7 +197,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _open_in_place(path: str, flags: int) -> int:
-    # Without following a link or waiting for the writer of a pipe. Windows has neither of these flags.
+    # Do not follow a link, and do not wait for the writer of a pipe. Windows has neither of these flags.
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
@@ -230,7 +230,7 @@ def _create(folder: Path) -> tuple[Path, BinaryIO]:
 
 
 def _publish(temporary: Path, path: Path) -> bool:
-    # A hard link fails if the name exists, so that of two processes only one publishes the file.
+    # A hard link fails if the name exists, so that only one of two processes publishes the file.
     try:
         path.hardlink_to(temporary)
     except FileExistsError:
@@ -247,17 +247,17 @@ def _publish(temporary: Path, path: Path) -> bool:
     return True
 
 
-# Variables that a git hook or alias sets. With them, git would use the index of the user.
+# Variables that a git hook or alias sets. With them, git would use the caller's index.
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
 
 # With this variable, git fetches nothing, such as missing objects of a partial clone.
 OFFLINE = {"GIT_ALLOW_PROTOCOL": ""}
 
-# The start of a file that represents one in Git LFS.
+# The start of a file that is a pointer to Git LFS.
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 Since = tuple[str, str]
-"""The short hash of a commit, and its day."""
+"""The short hash and the day of a commit."""
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -279,9 +279,9 @@ def git(folder: Path, *arguments: str) -> str:
         )
     except FileNotFoundError:
         raise RequestError("expected the program git, which was not found on the PATH. Install git") from None
-    except ValueError as error:  # a text that no command line can have
+    except ValueError as error:  # a string that no command line can contain
         given = next((each for each in (str(folder), *arguments) if not each.isprintable()), str(folder))
-        raise RequestError(f"expected a name for git, received {given!a:.200} ({error}). Change it") from None
+        raise RequestError(f"expected a name that git accepts, received {given!a:.200} ({error}). Rename it") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
@@ -290,7 +290,7 @@ def git(folder: Path, *arguments: str) -> str:
 
 def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
     """Return the commit that added each file in some folders, as far as git knows it."""
-    # An earlier commit than the oldest one of a shallow clone may have added its files, so these are omitted.
+    # The files in the oldest commit of a shallow clone are omitted, because an earlier commit may have added them.
     found: dict[Path, Since] = {}
     form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")
     for folder in folders:

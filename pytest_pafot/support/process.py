@@ -1,4 +1,4 @@
-"""Signals, exit, replaced functions, versions and cores of this process."""
+"""Signals, exit codes, replaced functions, versions and cores of this process."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from pytest_pafot.support import monotonic
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 # If Python could not raise an interrupt, it is repeated after this time [s].
 AGAIN_SECONDS = 0.05
-# After an interrupt, `postponed` lets its context continue for this time unless another one comes, and `exit_soon`
-# third-party threads and exit functions [s].
+# After this time, a second interrupt ends the context of `postponed`, and `exit_soon` ends the process even if
+# threads or exit functions are still running [s].
 PATIENCE = 2.0
 
 
 class Ended(KeyboardInterrupt):
-    """One of :data:`ENDS` as an interrupt, with its ``number`` and the exit ``code`` that a shell reports."""
+    """An interrupt by a signal in :data:`ENDS`, with its ``number`` and the exit ``code`` of a shell."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"received {signal.Signals(number).name}")
@@ -43,8 +43,8 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
 
     ``note`` receives each interrupt first, including Ctrl-C, because the user's code may catch it.
     """
-    # Signals that the user's code handles, or that are ignored as by `nohup`, are left alone. Python drops what a
-    # handler raises during a finalizer or the callback of a weak reference, so such an interrupt is repeated shortly.
+    # Signals that the user's code handles, or that are ignored as by `nohup`, are left alone. Python drops an exception
+    # that a handler raises during a finaliser or a weak reference's callback, so the interrupt is repeated soon after.
     owner, ended, told = getpid(), False, sys.unraisablehook
 
     def received(number: int, _: object) -> None:
@@ -97,7 +97,7 @@ def postponed() -> Iterator[None]:
 
     def received(number: int, frame: FrameType | None) -> None:
         handler = before[number]
-        # The context may wait for something that never happens, so a later interrupt is raised immediately.
+        # The context may wait for something that never happens, so a later interrupt is handled immediately.
         if came and monotonic() - came[0][1] > PATIENCE and callable(handler):
             handler(number, frame)
         came.append((number, monotonic()))
@@ -115,8 +115,8 @@ def postponed() -> Iterator[None]:
 
 
 def _let_forks_end() -> None:
-    # A forked process should end by ENDS as without a handler of this module. But Python drops a signal that has a
-    # handler and arrives before the fork is complete. `multiprocessing.Pool` ends its processes by SIGTERM, and would
+    # A signal in ENDS should end a forked process, as if this module had no handler. But Python drops a signal that has
+    # a handler and arrives before the fork is complete. `multiprocessing.Pool` ends its processes by SIGTERM, and would
     # sometimes wait for one forever. So the signal is blocked until then.
     masks: dict[int, set[int]] = {}  # by thread
 
@@ -141,7 +141,7 @@ if hasattr(os, "register_at_fork"):
 
 def bound_to(parent: int, number: int) -> bool:
     """Make Linux send this process a signal when its parent ends, or return False on other systems."""
-    # Linux sends it when the thread that started this process ends, so the parent must start it in its main thread.
+    # Linux sends the signal when the thread that started this process ends, so the parent must use its main thread.
     if sys.platform != "linux" or ctypes.pythonapi.prctl(1, number) != 0:  # PR_SET_PDEATHSIG
         return False
     if os.getppid() != parent:  # it ended before that call
@@ -159,13 +159,13 @@ def exit_soon(code: int) -> None:
         print(end="", flush=True)
         atexit._run_exitfuncs()  # before Python waits for threads
 
-    # Python calls it before it waits for threads; there is no public function for that.
+    # Python calls `end` before it waits for threads. There is no public function for that.
     threading._register_atexit(end)  # type: ignore[attr-defined]
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore Ctrl-C and :data:`ENDS` in this context, and in programs that it starts."""
+    """Ignore Ctrl-C and :data:`ENDS` in this context, and in programs started in it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -177,7 +177,7 @@ def undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-# The file in a temporary folder of the process that waits for the receipt.
+# The name of the receipt, which is in a temporary folder of the process that waits for it.
 NAME = "receipt"
 
 
@@ -187,9 +187,9 @@ def leave_receipt(folder: str, code: int) -> None:
 
 
 def taken_receipt(folder: str, left: int) -> int | None:
-    """Remove the receipt of a process, and return its exit code, or None.
+    """Remove a receipt, and return its exit code, or None without a receipt.
 
-    If the command ended with 0, the exit code ``left`` of the process counts.
+    If that code is 0, the exit code ``left`` of the process counts.
     """
     file = Path(folder) / NAME
     try:
@@ -201,18 +201,18 @@ def taken_receipt(folder: str, left: int) -> int | None:
 
 
 def ended_with(left: int) -> int:
-    """Return the exit code that a shell reports for a process, which is negative for a signal."""
+    """Return an exit code, which is negative for a signal, as a shell reports it."""
     return left if left >= 0 else 128 - left
 
 
 def unfinished(code: int) -> str:
     """Return the message about a process that ended without a receipt."""
-    received = f"exit code {code} before that"
-    likely = "Unless an error above explains it, the policy, its factory or its module ended the process, as sys.exit "
-    likely += "and os._exit do. Raise an error instead"
+    received = f"an early exit with code {code}"
+    likely = "Unless an error above explains it, the policy, its factory or its module ended the process, such as with "
+    likely += "sys.exit or os._exit. Raise an error instead"
     if code < 0:
         names = {int(number): number.name for number in signal.Signals}
-        received = f"an end by {names.get(-code, f'signal {-code}')}"
+        received = f"the signal {names.get(-code, -code)}"
         likely = "Did compiled code of the policy crash? `python -X faulthandler -m pytest_pafot ...` shows where"
     if code == -getattr(signal, "SIGKILL", 0):
         likely = "Did the memory run out, or did someone kill it? Free memory, and run the command again"
@@ -232,7 +232,7 @@ class _Replaced:
     """The functions of this process that tests have replaced."""
 
     def __init__(self) -> None:
-        self._back: list[Callable[[], object]] = []  # puts them back, the last first; empty if none is put aside
+        self._back: list[Callable[[], object]] = []  # functions that restore the replacements, the last first
 
     @contextmanager
     def shown(self, is_shown: bool) -> Iterator[None]:
@@ -250,7 +250,7 @@ class _Replaced:
         own = [each for each in _OWN if vars(each[0]).get(each[1]) is not each[2]]
         replaced = [(owner, name, vars(owner).get(name)) for owner, name, _ in own]
         self._back += [lambda: _put(replaced)] if replaced else []
-        # pyfakefs replaces functions in each module, and these in the modules that are imported meanwhile.
+        # pyfakefs replaces functions in every module, also in modules that are imported in the meantime.
         faked = getattr(sys.modules.get("pyfakefs.fake_filesystem_unittest"), "Patcher", None)
         if faked is not None and faked.PATCHER is not None and faked.PATCHER.is_patching:
             faked.PATCHER.pause()
@@ -273,12 +273,12 @@ REPLACED = _Replaced()
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
 RULES = "verdict-rules"
-# The version of the rules in docs/explanation/verdicts.md. It increases with each change of a verdict.
+# The version of the rules in docs/explanation/verdicts.md. It increases if a change affects verdicts.
 RULES_VERSION = "3"
 
 
 def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
-    """Return the versions of the packages on which a run depends, and of the rules of verdicts."""
+    """Return the versions of the packages on which a run depends, and of the verdict rules."""
     return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
 
 
@@ -291,23 +291,23 @@ def _version_of(package: str) -> str:
 
 
 def cores(root: Path = Path("/")) -> int:
-    """Return the number of cores that this process may use; ``root`` is the folder with ``proc`` and ``sys``."""
+    """Return the number of cores that this process may use. ``root`` is the folder with ``proc`` and ``sys``."""
     counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
-    for quota, *period in cpu_limits(root):  # [us] of all cores together in each period
-        counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; the kernel's default
+    for quota, *period in cpu_limits(root):  # CPU time [us] of all cores together in each period
+        counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; 100 ms is the kernel's default
     return min(counts)
 
 
 def cpu_limits(root: Path) -> Iterator[list[int]]:
-    """Yield the numbers in ``cpu.max`` of this process's cgroup and its parents, where there is a limit."""
-    # Where a container hides its own path, this is its root, and the file is directly in the mounted folder.
+    """Yield the numbers in ``cpu.max`` of this process's cgroup and the parent cgroups, if there is a limit."""
+    # If a container hides its own path, the root is the cgroup, and the file is directly in the mounted folder.
     groups = [PurePosixPath()]
     with suppress(OSError):
         lines = os.fsdecode((root / "proc/self/cgroup").read_bytes()).splitlines()
         own = [PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")]
         groups = [group for path in own for group in (path, *path.parents)] or groups
     for group in dict.fromkeys(groups):
-        # The outermost cgroup of a machine has no limits, "max" is none, and a container may emulate the files badly.
+        # The outermost cgroup has no file, "max" means no limit, and a container may emulate the files badly.
         with suppress(OSError, ValueError):
             numbers = [int(word) for word in (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()]
             if numbers and min(numbers) > 0:

@@ -9,27 +9,27 @@ from collections.abc import Sequence
 # Scandinavian Journal of Statistics 6(2), 1979; Wald, The Annals of Mathematical Statistics 16(2), 1945.
 
 CONFIDENCE = 0.95
-# The largest probability with which a comparison of two policies may report a difference that does not exist. Policies
-# are compared after each change: with 0.05, one harmless change in twenty might be reported as worse.
+# The maximum probability with which a comparison of two policies reports a difference that does not exist. Policies are
+# compared after each change. With 0.05, one harmless change in twenty might be reported as worse.
 LEVEL = 0.01
-# A policy is clearly worse if it has this proportion of the trials that only one of two policies hit.
+# Of the trials that only one of two policies hits, a clearly worse policy hits this proportion.
 WORSE = 0.7
-# The largest probability with which a clearly worse policy may be reported as no worse.
+# The maximum probability with which a clearly worse policy is reported as no worse.
 MISSED = 0.05
 _UNEVEN, _EVEN = math.log((1 - MISSED) / LEVEL), math.log(MISSED / (1 - LEVEL))
-# With fewer trials that only one hit, `hits_more` cannot give a result.
+# With fewer trials that only one policy hits, `hits_more` cannot give a result.
 FEWEST = math.ceil(-math.log2(LEVEL))
 
 
 def interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the Clopper-Pearson interval of a proportion."""
-    # It starts at 0 if there is no hit, and ends at 1 if every trial is a hit.
+    # The interval starts at 0 if there is no hit, and ends at 1 if every trial is a hit.
     beyond = (1 - confidence) / 2
     return 1 - upper_bound(trials - hits, trials, 1 - beyond), upper_bound(hits, trials, 1 - beyond)
 
 
 def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float:
-    """Return the upper limit of a proportion; the true one exceeds it with probability at most ``1 - confidence``."""
+    """Return a limit that the true proportion exceeds with a probability of at most ``1 - confidence``."""
     if hits >= trials:
         return 1.0
     low, high = 0.0, 1.0
@@ -44,14 +44,14 @@ def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float
 
 def mcnemar(first_only: int, second_only: int) -> float:
     """Return the two-sided p-value of McNemar's test."""
-    trials = first_only + second_only  # the trials that only one of the two hit
+    trials = first_only + second_only  # the trials that only one of the two policies hits
     return 1.0 if trials == 0 else min(1.0, 2 * _at_most(min(first_only, second_only), trials, 0.5))
 
 
 def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bool | None:
-    """Return whether the first hits more of the same trials than the second, or None if that is still unknown."""
-    # Wald's sequential test, so that clear cases end early. Of the trials that only one hits, the first hits half if
-    # both are equal, and WORSE of them if it is clearly worse. After the last trial, the exact sign test decides.
+    """Return whether the first policy hits more of the same trials than the second, or None if unclear."""
+    # Wald's sequential test, so that clear cases end early. Of the trials that only one policy hits, the first hits
+    # half if both are equal, and WORSE if it is clearly worse. After the last trial, the exact sign test decides.
     evidence = first_only * math.log(2 * WORSE) + second_only * math.log(2 * (1 - WORSE))
     if evidence >= _UNEVEN or evidence <= _EVEN:
         return evidence > 0
@@ -61,7 +61,7 @@ def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bo
 
 
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:
-    """Return an interval for the difference of two proportions, first minus second, with at least 95 % confidence."""
+    """Return an interval for the first proportion minus the second, with at least 95 % confidence."""
     # Each of the two intervals has a confidence of 97.5 %.
     one, other = (interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only))
     return one[0] - other[1], one[1] - other[0]
@@ -69,7 +69,7 @@ def difference(first_only: int, second_only: int, trials: int) -> tuple[float, f
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return Holm-adjusted p-values."""
-    # The probability of one or more false positives is then as small as with a single test.
+    # The probability of any false positive is then as low as in a single test.
     adjusted, least = [0.0] * len(p_values), 0.0
     for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
         least = adjusted[place] = max(least, min(1.0, (len(p_values) - rank) * p_values[place]))
@@ -96,10 +96,10 @@ def percent(share: float) -> str:
 
 
 def none_text(trials: int, what: str = "scenarios") -> str:
-    """Return what the absence of hits in random trials means: ``, so in at most 2.0 % of such scenarios, ...``."""
+    """Return the end of a sentence about trials without hits: ``, so it occurs in at most 2 % of ...``."""
     most = 100 * upper_bound(0, trials) - 1e-9  # otherwise, its last bit would decide whether it is rounded up
     rounded = math.ceil(10 * most) / 10 if most < 10 else math.ceil(most)
-    return f", so in at most {rounded:g} % of such {what}, with 95 % confidence"
+    return f", so it occurs in at most {rounded:g} % of such {what}, with 95 % confidence"
 
 
 def interval_text(hits: int, trials: int) -> str:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.support.text import one_line
 
-# An error lists at most so many names of a module.
+# The maximum number of names of a module that an error lists.
 MOST_NAMES = 8
 
 # The suffix of a policy that is a planner in SI units, although it drives in an environment.
@@ -51,7 +51,7 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
         hint = hint or (f". The module has {', '.join(own[:MOST_NAMES])}" if own else ". The module has no such name")
         file = getattr(module, "__file__", None) or "built into Python"
-        # It may be another module of the same name.
+        # The user may have expected another module with the same name.
         hint += "" if Path(file).is_relative_to(Path.cwd()) else f"{'' if near else '.'} This module is {file}"
         raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
     return getattr(module, name)
@@ -61,25 +61,25 @@ def imported(reference: str) -> ModuleType:
     """Import the module in a string such as ``module:name``, or raise a ``ValueError``."""
     module_name, _, name = reference.partition(":")
     try:
-        if not module_name or module_name.startswith("."):  # which would be relative to nothing
+        if not module_name or module_name.startswith("."):  # a relative name has no package here
             raise ModuleNotFoundError(f"No module named {module_name!r}", name=module_name)
         return importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
-        # A module that lacks another one raises ModuleNotFoundError, too.
+    except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() when it is imported.
+        # A module that imports a missing module raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
-        way_out = "Run in its folder, or add that folder to the path (in pytest's settings: `pythonpath = .`)"
+        way_out = "Run in the folder of the module, or add it to the path (in pytest's settings: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
-        if path != module_name and not path.startswith("."):  # else it is no path, or not below this folder
+        if path != module_name and not path.startswith("."):  # otherwise, it is not a path, or not below this folder
             way_out = f"Write {path}:{name}"
         received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
-        way_out = way_out if is_missing else "Correct it"
+        way_out = way_out if is_missing else "Correct the module"
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}. {way_out}"
         ) from error
 
 
 def name_of(factory: Callable[..., Any]) -> str:
-    """Return ``module:name`` of a function or class if it can be imported by it, or an empty string."""
+    """Return ``module:name`` of a function or class, or an empty string if the name does not lead to it."""
     name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
     try:
         return name if referred_to(name) is factory else ""
@@ -88,7 +88,7 @@ def name_of(factory: Callable[..., Any]) -> str:
 
 
 def policy_name(factory: Any) -> str:
-    """Return ``module:name`` of the class or function that makes a policy, for readers."""
+    """Return ``module:name`` of the class or function that makes a policy, for display."""
     # A lambda has the name of the one class or function that it uses, if it uses no other.
     made = inspect.unwrap(factory)
     while isinstance(made, functools.partial):
@@ -122,7 +122,7 @@ class _Source(NamedTuple):
 
 
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:
-    """Return the source files that define some objects of the user, and those of their imports.
+    """Return the source files that define some objects of the user, and the files that these import.
 
     Each path has the name of its module and the hash of its content.
     """
@@ -144,7 +144,7 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
 
 
 def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
-    # Also the callables that the object holds, such as the policy behind a wrapper.
+    # Includes callables that the object contains, such as the policy inside a wrapper.
     if id(value) in seen:
         return
     seen.add(id(value))
@@ -154,8 +154,8 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
         for cls in value.__mro__:
             yield from _of_module(cls.__module__)
     elif isinstance(value, FunctionType):
-        file = value.__code__.co_filename  # not of its module: two modules may have the same name, such as conftest
-        if not file.startswith("<"):  # such as a function that was typed in, or made by exec
+        file = value.__code__.co_filename  # not the module's: two modules may have the same name, such as conftest
+        if not file.startswith("<"):  # such as a function from an interactive session or from exec
             yield _Source(value.__module__ or "", Path(file))
     for each in _held(value):
         parts = each.values() if isinstance(each, dict) else each if isinstance(each, (list, tuple)) else (each,)
@@ -222,7 +222,7 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
         return
     try:
         tree = ast.parse(content)
-    except (SyntaxError, ValueError):  # imported before it was broken; its hash has changed in any case
+    except (SyntaxError, ValueError):  # the file was broken after its import; its hash has changed in any case
         return
     package = source.name if source.file.stem == "__init__" else source.name.rpartition(".")[0]
     for node in ast.walk(tree):
@@ -232,7 +232,7 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
             base = f"{'.' * node.level}{node.module or ''}"
             try:
                 base = importlib.util.resolve_name(base, package)
-            except ImportError:  # a relative import in a file that is no part of a package
+            except ImportError:  # a relative import in a file outside of a package
                 continue
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]  # a name may be a module, too
         else:
@@ -243,7 +243,7 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
 
 
 def is_users(file: Path) -> bool:
-    """Return whether a file belongs to the user, not to an installed package or this one."""
+    """Return whether a file belongs to the user, not to a package such as this one."""
     return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, _library_folders()))
 
 

@@ -1,4 +1,4 @@
-"""Strings that are safe to print, even in Markdown and HTML."""
+"""Functions that make strings safe to print, even in Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from datetime import date
 from types import MappingProxyType
 from typing import Any
 
-# The start of a command to a CI runner. Patterns are compiled when they are used, since most sessions use none.
-_COMMAND = r"(?<!\S)::|##(?=\w*\[)"  # compiled when it is used, as all patterns here: most sessions use none
+# The start of a command to a CI runner. Patterns are compiled when they are used, because most sessions use none.
+_COMMAND = r"(?<!\S)::|##(?=\w*\[)"
 
 
 def visible(text: str) -> str:
-    """Return a text on one line with everything escaped that does not print or is a command to a CI runner."""
-    # For example \n, \x1b, and \u202e, which reverses the text after it. A second application changes nothing.
+    """Escape unprintable characters and commands to CI runners, on one line."""
+    # For example \n, \x1b, and \u202e, which reverses the text after it. A second call changes nothing.
     if not text.isprintable():
         text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
     return re.sub(_COMMAND, lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
 
 
 def visible_lines(text: str) -> str:
-    """Escape a text as :func:`visible` does, but keep line breaks and tabs."""
+    """Escape a string as :func:`visible` does, but keep line breaks and tabs."""
     return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
 
 
 def ascii_text(text: str) -> str:
-    """Escape a text for any terminal or log, on one line."""
+    """Escape a string for any terminal or log, on one line."""
     return visible(text).encode("ascii", "backslashreplace").decode("ascii")
 
 
@@ -46,7 +46,7 @@ def shown(value: Any) -> str:
 
 
 def one_line(text: str) -> str:
-    """Join a text to one line of at most 120 characters."""
+    """Shorten a string to one line of at most 120 characters."""
     line = " ".join(text.split())
     return line if len(line) <= 120 else f"{line[:117]}..."
 
@@ -66,7 +66,7 @@ def day_of(text: str) -> date | None:
 
 
 def capitalised(text: str) -> str:
-    """Return a text with its first letter in upper case."""
+    """Return a string with the first letter in upper case."""
     return text[:1].upper() + text[1:]
 
 
@@ -76,7 +76,7 @@ def plural(count: int, noun: str) -> str:
 
 
 def listed(texts: Sequence[str]) -> str:
-    """Return texts as one, such as ``a, b and c``."""
+    """Join strings as in ``a, b and c``."""
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
@@ -87,7 +87,7 @@ def meant(name: object, known: Iterable[str]) -> str:
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as CSV with a header; None is an empty cell, and numbers are exact."""
+    """Format rows as CSV with a header. None becomes an empty cell, and numbers are exact."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
@@ -96,7 +96,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as a Markdown table with a header; cells may contain Markdown."""
+    """Format rows as a Markdown table with a header. Cells may contain Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
     texts = ([visible(str(cell)).replace("|", r"\|") for cell in cells] for cells in lines)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in texts)
@@ -104,7 +104,7 @@ def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> 
 
 # Wrapping lines between words to the width of the terminal.
 
-# The prefix of the lines of a failure's message, as pytest writes it.
+# pytest's prefix for the lines of a failure message.
 MARKER = "E   "
 
 _GLUED = r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)"
@@ -118,7 +118,7 @@ def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """Wrap a line between words, but not within ``3 m/s`` or ``NPC 1``."""
-    line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
+    line = visible(line.expandtabs())  # before wrapping, which would turn line breaks into spaces
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
@@ -127,7 +127,7 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text.strip()))]
 
 
-# So many differences are described.
+# The maximum number of differences that are described.
 MAX_TOLD = 3
 
 
@@ -135,7 +135,7 @@ def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any])
     """Describe the first differences between a file's data and this session's."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
     differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
-    told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
+    told = [f"{key} is {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
     return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
 
 
@@ -151,7 +151,7 @@ def _shown(leaves: Mapping[str, Any], key: str) -> str:
     return f"{leaves[key]!r:.60}" if key in leaves else "missing"
 
 
-# A longer text of a user is cut [characters].
+# The length at which a string of the user is cut [characters].
 MAX_TEXT = 300
 
 _MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
@@ -163,14 +163,14 @@ _REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
 
 
 def plain(text: str) -> str:
-    """Escape a text for Markdown, on one line."""
+    """Escape a string for Markdown, on one line."""
     line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
     line = "".join(_ENTITIES.get(character, character) for character in line)
     return _REFERENCE.sub(r"\g<0>&#8203;", line)
 
 
 def code(text: str) -> str:
-    """Return a text as Markdown code."""
+    """Format a string as code in Markdown."""
     line = _one_line(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
@@ -183,12 +183,12 @@ def _one_line(text: str) -> str:
 
 
 def json_in_script(plain: str) -> str:
-    """Return equal JSON that is safe inside a ``<script>`` element."""
+    """Return equivalent JSON that is safe inside a ``<script>`` element."""
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def content_hash(content: str) -> str:
-    """Return the hash with which a page's policy allows a style or a script."""
+    """Return the hash with which a Content Security Policy allows a style or a script."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
 
 

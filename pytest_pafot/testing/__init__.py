@@ -1,8 +1,8 @@
 """A check of a user's simulator, for use in the user's tests.
 
 In each experiment, the simulator moves vehicles with known controls, and the package's own model predicts their motion.
-If they disagree, the experiments are repeated with other statements of units, axes and controls. A statement with which
-everything agrees is the cause.
+If the two disagree, the experiments are repeated with other units, axes and controls. If everything then agrees, the
+changed declaration is the cause.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from typing import Any, NamedTuple, Unpack, cast, get_args
 
 import numpy as np
 
+from pytest_pafot.algorithms.space import sample
 from pytest_pafot.attribution.takeovers import CAREFUL
-from pytest_pafot.campaign.request import SpaceArguments, drawn_space
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import FloatArray, Trace, first_difference, named
 from pytest_pafot.model.vehicle_type import READY
-from pytest_pafot.searching.space import sample
+from pytest_pafot.searches.request import SpaceArguments, drawn_space
 from pytest_pafot.world import Control, Simulator, SimulatorWorld, Vehicle
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.codec import checked_world
@@ -34,13 +34,14 @@ from pytest_pafot.world.engines.simulation import HEADINGS, STARTS, Frame, Refer
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.bodies import Body
 
-# Durations of the experiments; the time at which vehicles that have stopped drive on in the last one; the longest
+# The durations of the experiments (in the last one, vehicles that have stopped drive on at `STAND`), and the longest
 # random scenario [s]. The proportion of an experiment after which a lagging drivetrain obeys. The delay from which
 # controls take effect late [s].
 COAST, GAS, STAND, STOP, LONGEST, SETTLED, LATE = 1.5, 2.0, 6.0, 9.0, 20.0, 0.6, 0.1
-# The motion of a vehicle as a multiple of the requested motion: at least, at least unless in part, and at most. A model
-# may have another distance between its axles, drag or noise.
-DRIVEN, OBEYED = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.2, 0.4, 2.45)}
+# The accepted motion of a vehicle as a multiple of the requested motion: the lowest value, the lowest value without a
+# note, and the highest value. A simulator may have drag, noise or another distance between axles.
+# Above the fourth, a vehicle turns so much that its wheelbase probably differs from the model's.
+DRIVEN, OBEYED, WIDE = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.2, 0.4, 2.45)}, 1.3
 # The largest change of speed without acceleration [m/s^2], of heading or direction without steering [rad], and angle
 # between heading and motion in a turn: a proportion of the turn, and the effect of rear wheels [rad]. How far behind
 # the centre of its box a vehicle turns, as a proportion of its length: at least and at most. The largest jump in a tick
@@ -48,7 +49,7 @@ DRIVEN, OBEYED = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.
 DRAG, STEADY, SLIP, CENTRE, JUMP, STANDS, AWAY = 0.8, 0.05, (0.3, 0.06), (0.12, 0.7), 0.5, 0.7, 0.5
 # Usual units of speed [m/s] and of length [m].
 UNITS = {"km/h": 1 / 3.6, "mph": 0.44704, "feet": 0.3048}
-# All possible statements of a simulator about its axes.
+# All possible declarations of a simulator about its axes.
 AXES = {"degrees": (True, False), "y_is_left": (True, False), "headings": HEADINGS, "reference": get_args(Reference)}
 
 
@@ -67,7 +68,7 @@ def check_world(
         space: properties of the scenarios, such as ``npcs`` and ``ego_lane``, as in :func:`pytest_pafot.search`.
 
     Raises:
-        AssertionError: if the simulator is wrong. The message names the attribute to set, if one explains everything.
+        AssertionError: if the simulator is wrong. The message names the attribute to change, if one is the cause.
         WorldError: if the world is not one of this package, or cannot be used.
 
     Warns:
@@ -90,7 +91,7 @@ def check_world(
 
 def _run_scenario(world: BaseWorld, scenario: Scenario, ads: AdsFactory | None) -> Trace:
     drive, given = (world.rollout_reference, CAREFUL) if ads is None else (world.rollout, ads)
-    with _without_error("a random scenario can be driven"):
+    with _without_error("a random scenario can be run"):
         trace: Trace = GENERATORS.run(drive, scenario, cast("Any", given))
     wrong = trace.users_error_text or ("" if trace.error is None else f"{trace.error.text}; give a different ads=")
     _promise(not wrong, "random runs are valid, and the policy of the check drives in this world", wrong)
@@ -125,7 +126,7 @@ class _Run(NamedTuple):
     sent: list[list[Control]]
 
     def name(self, number: int) -> str:
-        # The kind and the lane may be what matters.
+        # The kind or the lane may be the reason for an error.
         return f"{named(number)} ({self.given[number].kind}, lane {self.given[number].lane})"
 
     def steps(self, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -139,14 +140,14 @@ class _Run(NamedTuple):
 
 
 class _Bench:
-    """The experiments with the simulator of a world. ``other`` statements replace those of the simulator.
+    """The experiments with the simulator of a world. ``other`` declarations replace those of the simulator.
 
-    A promise is a tuple: whether it is kept, what was expected, and what was received.
+    A promise is a tuple: true if it is kept, the expected result and the received result.
     """
 
     def __init__(self, world: SimulatorWorld, seed: int) -> None:
         self.world, self.seed, self.top, self.real = world, seed, world.speed_limit, world.simulators.take()
-        # What it states counts before the first run: a method may use a name such as `length` for something else.
+        # Its attributes before the first run, because a method may use a name such as `length` for something else.
         self.said: Any = SimpleNamespace(**{name: getattr(self.real, name) for name in Simulator.__annotations__})
         self.notes, self.facts, lanes = dict[str, str](), dict[str, float](), self.said.lanes
         self.is_plain = isinstance(lanes, Real)
@@ -154,7 +155,7 @@ class _Bench:
         self.mid: int = self.lanes // 2 if self.is_plain else self.said.start_lane
 
     def check(self) -> list[str]:
-        # The first broken promise is an error, with its cause if another statement explains everything.
+        # The first broken promise is an error, with its cause if another declaration explains everything.
         try:
             for is_kept, promise, received in self.promises():
                 _promise(is_kept, promise, received if is_kept or ";" in received else f"{received}{self.cause()}")
@@ -187,7 +188,7 @@ class _Bench:
         return spots
 
     def tell(self, method: str, given: Sequence[Any], *more: Any) -> FloatArray:
-        # Returns what the simulator then states, in shape [vehicles, 4].
+        # Call a method, and return the states of the simulator after it, in shape [vehicles, 4].
         with _without_error(f"{method} and states accept vehicles of all types"):
             getattr(self.real, method)(copy := list(given), *more)
             rows: FloatArray = np.array(self.real.states(), dtype=np.float64)
@@ -198,7 +199,7 @@ class _Bench:
 
     def drive(self, spots: Sequence[Any], seconds: float, control: Callable[..., Any], **other: Any) -> _Run:
         # `control` returns acceleration and steering by number, time and vehicle.
-        # `frame` converts as if the simulator had made the other statements.
+        # `frame` converts as if the simulator had made the other declarations.
         stated = {name: getattr(self.said, name) for name in (*AXES, "metres", "metres_per_second")} | other
         axle = (self.said.rear_axle_offset or 1.4) * (stated["reference"] == "rear axle")
         frame = Frame(SimpleNamespace(**stated, rear_axle_offset=axle))
@@ -232,12 +233,12 @@ class _Bench:
         # Returns x, y and heading in a run, and whether the road has this position.
         real, lanes = self.said, self.said.lanes
         if self.is_plain:
-            # Straight parallel lanes have lines like those of other roads.
+            # Make centre lines for straight parallel lanes, as on other roads.
             width, end = (real.lane_width or 4.0 / frame.metres), (real.length or 1e6)
             lanes = [[(0.0, frame.side * n * width), (end, frame.side * n * width)] for n in range(lanes)]
         line = np.array([frame.point(x, y) for x, y in lanes[lane]])
         ends = np.cumsum(np.hypot(*(steps := np.diff(line, axis=0)).T))
-        # Where a run starts too: at the stated position, or with enough road behind the ego.
+        # As in a run, start at the stated position, or with enough road behind the ego.
         along = ahead + (real.start_at * frame.metres if real.start_at else min(150.0, ends[-1] / 3))
         at = min(int(np.searchsorted(ends, along)), len(steps) - 1)
         x, y = line[at + 1] + steps[at] * (along - ends[at]) / np.hypot(*steps[at])
@@ -246,8 +247,8 @@ class _Bench:
     def promises(self, **other: Any) -> Iterator[tuple[Any, str, str]]:
         self.notes, fast, slow = {}, max(self.top - 4.0, self.top / 2), min(10.0, self.top / 2)
 
-        # Every vehicle gets another acceleration or steering angle. So a control that moves another vehicle shows. With
-        # `side`, half of the vehicles brake or turn to the other side.
+        # Every vehicle gets a different acceleration or steering angle, to detect controls that move another vehicle.
+        # Half of the vehicles brake, or turn to the other side, depending on `side`.
         def gas(number: int, *_: Any, side: int) -> tuple[float, float]:
             return 2.0 - 0.1 * number if (-1) ** number == side else (0.06 * number - 1.0) * min(3.0, 0.4 * fast), 0.0
 
@@ -277,10 +278,10 @@ class _Bench:
         for number, speeds in enumerate(run.states[..., 3].T):
             stood, last = speeds[round(STAND / run.dt)], speeds[-1]
             received = f"{stood:.1f} m/s after {STAND:g} s and {last:.1f} m/s after {STOP:g} s for {run.name(number)}"
-            yield abs(stood) <= STANDS and last > 1.5, "a vehicle stops, waits and drives on by its control", received
+            yield abs(stood) <= STANDS and last > 1.5, "a vehicle stops, waits and drives on as requested", received
 
     def moves(self, run: _Run, *, is_steady: bool = False) -> Iterator[tuple[Any, str, str]]:
-        # Promises that vehicles start where they are asked to, and drive where they head, as fast as they state.
+        # Promises that vehicles start in the requested states, and move along their headings at their stated speeds.
         # The start.
         off = np.abs(run.states[0] - run.model[0]) > [most for _, most in STARTS]
         first = int(off.any(axis=1).argmax())
@@ -289,27 +290,27 @@ class _Bench:
         yield not off.any(), promise, f"{got}{self.misplaced(run) if off.any() else ''}"
         for number, rows in enumerate(run.states.transpose(1, 0, 2)):
             who, (driven, by_speed, course) = run.name(number), run.steps(number)
-            # The distance. If every tick has the same ratio to the speed, the unit is wrong; if one differs, it is a
-            # jump.
+            # The distance. If its ratio to the speed is wrong in every tick, the unit is wrong. If it differs in one
+            # tick, the vehicle has jumped.
             ratio = float(driven.sum() / max(by_speed.sum(), 1e-3))
             self.facts.setdefault("driven", ratio)
             jump, is_late = np.abs(driven - by_speed * ratio), driven[0] < 0.2 * driven[-1]
             jumped = f"{driven[jump.argmax()]:.1f} m at {rows[jump.argmax(), 3]:.1f} m/s for {who} in a tick"
             received = f"the states before it: the first step does not move {who}" if is_late else jumped
-            yield jump.max() <= JUMP and not is_late, "states() has the states after the step, without jumps", received
-            promise = "the distance of a vehicle fits its speed, by dt (or hz), metres_per_second and metres"
+            yield jump.max() <= JUMP and not is_late, "states() returns states after the step, without jumps", received
+            promise = "the distance of a vehicle fits its speed, given dt (or hz), metres_per_second and metres"
             yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance for {who}"
             # The direction. A vehicle with turned wheels slips, so it may differ from the heading in a turn.
             turned, away, gained = float(rows[-1, 2] - rows[0, 2]), float(course[-1]), float(rows[-1, 3] - rows[0, 3])
-            promise = "a vehicle moves in the direction of its heading, by headings, y_is_left and degrees"
+            promise = "a vehicle moves in the direction of its heading, given headings, y_is_left and degrees"
             received = f"{math.degrees(away):.0f} degrees off for {who}, whose heading turned by {turned:.2f} rad"
             yield abs(away) <= (STEADY if is_steady else SLIP[0] * abs(turned) + SLIP[1]), promise, received
             is_kept = not is_steady or (abs(gained) <= DRAG * COAST and abs(turned) <= STEADY)
-            promise = "without acceleration and steering, a vehicle keeps its speed and its heading, even near others"
+            promise = "without acceleration and steering, a vehicle keeps its speed and heading, even near another one"
             yield is_kept, promise, f"{gained:+.1f} m/s and {turned:+.2f} rad for {who} in {COAST:g} s"
 
     def obeys(self, run: _Run, name: str) -> Iterator[tuple[Any, str, str]]:
-        # Promises that vehicles do what their controls say. A note says if it is late or in part.
+        # Promises that vehicles obey their controls, and notes where they do so late, in part, or too much.
         column, (least, whole, most) = 2 + (name == "acceleration"), OBEYED[name]
         done, asked = np.diff(run.states[..., column], axis=0), (run.model[1:] - run.states[:-1])[..., column]
         # The change in each tick, of the simulator and of the model. A lagging drivetrain needs time, so only the last
@@ -318,26 +319,26 @@ class _Bench:
         parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(axis=0)  # [vehicle, whose control]
         # The control of which vehicle explains the change, and is the unit a usual one?
         for number, part in enumerate(np.diag(parts).tolist()):
-            who, body, fits = run.name(number), run.bodies[number], least <= part <= most
+            who, fits = run.name(number), least <= part <= most
             others = [f"; the control of {named(n)} moves it" for n, p in enumerate(parts[number]) if abs(p - 1) < 0.03]
-            is_swapped = column == 2 and abs(part * body.width / body.length - 1) < 0.05
-            hint = "" if fits else "; is its width used as its length?" if is_swapped else "".join(others[:1])
             units = [f", as in {unit} per second" for unit, share in UNITS.items() if abs(part / share - 1) < 0.03]
             self.facts.setdefault(name, part)
             promise = f"control.{name} of a vehicle changes its {STARTS[column][0]} as in a bicycle model"
-            received = f"{part:.2f} times that for {who}{''.join(units[: column - 2])}{hint}"
+            received = f"{part:.2f} times that for {who}{''.join(units[: column - 2] + others[: not fits])}"
             yield fits and not (units and column == 3), promise, received
-            # Late or partial effects are allowed, but told.
+            # Late or partial effects are allowed, with a note.
             late = run.dt * (len(done) - float(done[:, number].sum() / (part * asked[:, number].mean())))
-            found = [f"in part, {part:.2f} times"] * (part < whole) + [f"{late:.2f} s late"] * (late > limit)
-            if found:
+            if found := [f"in part, {part:.2f} times"] * (part < whole) + [f"{late:.2f} s late"] * (late > limit):
                 told = f"a lagging drivetrain: control.{name} of {named(number)} takes effect {' and '.join(found)}"
                 advice = "" if self.said.moves_ego_only else "; set moves_ego_only = True if NPCs obey immediately"
                 self.notes.setdefault(name, f"{told}, which is allowed{advice}")
+            if column == 2 and part > WIDE:
+                told = f"control.steering turns {named(number)} {part:.2f} times as much as in a bicycle model"
+                fix = f"if its wheelbase is not its length, use atan({1 / part:.2f} * tan(steering))"
+                self.notes.setdefault("axles", f"{told}; {fix}")
 
     def turns(self, run: _Run, reference: str) -> Iterator[tuple[Any, str, str]]:
-        # Promises that vehicles turn about a point near their rear axles, and long ones less.
-        # Of two vehicles of different length, the longer one must turn less.
+        # Promises that vehicles turn about a point near their rear axles. The longer of two vehicles must turn less.
         turned = run.states[-1, :, 2] - run.states[0, :, 2]
         parts = turned / (run.model[1:] - run.states[:-1])[..., 2].sum(axis=0)
         shares = dict(zip((body.length for body in run.bodies), parts.tolist(), strict=True))
@@ -354,54 +355,53 @@ class _Bench:
             received = f"{behind * length:.1f} m behind the centre of {run.name(number)}, with {reference!r}"
             yield behind - spare <= CENTRE[1] and not (is_ahead and reference == "front"), promise, received
             if is_ahead and reference == "centre":
-                self.notes.setdefault("reference", 'vehicles turn about their positions: set reference = "rear axle"?')
+                self.notes["axles"] = 'vehicles turn about their positions: set reference = "rear axle"?'
 
     def misplaced(self, run: _Run) -> str:
-        # Returns an empty string if the difference is nothing usual.
+        # Describe a usual difference at the start. Return an empty string for any other difference.
         asked, got, most = run.model[0], run.states[0], run.model[0, :, 1].max()
         # Another order of the vehicles.
         far = np.hypot(*(asked[:, None, :2] - got[None, :, :2]).T)  # [states, asked]
         order, nearest = far.argmin(axis=1).tolist(), far.min(axis=1).max()
         if len({*order}) == len(order) and nearest < 0.3 < far.diagonal().max():
-            return "; states() has the vehicles in another order than start received them (the ego first)"
+            return "; states() returns the vehicles in another order than start received them (the ego first)"
         # Another point of reference: all are shifted along their headings.
         ahead = ((got - asked)[:, :2] * np.stack([np.cos(asked[:, 2]), np.sin(asked[:, 2])], axis=1)).sum(axis=1)
         is_half = np.abs(np.abs(ahead) - np.array([body.length for body in run.bodies]) / 2).max() < 0.1
         if is_half or (np.ptp(ahead) < 0.1 and 0.2 < abs(ahead[0]) < 6.0):
             side = f"{abs(ahead[0]):.2f} m {'ahead of' if ahead[0] > 0 else 'behind'} the requested positions"
-            return f"; states() has vehicles {side}. Both use the point that reference names, {self.said.reference!r}"
+            return f"; states() returns vehicles {side}. Both use the point of reference, {self.said.reference!r}"
         # Mirrored or scaled lanes.
         if np.abs(got[:, 1] - (most - asked[:, 1])).max() < 0.1:
             return "; its lanes are counted from the right, but lane 0 is the leftmost"
         share = float(got[asked[:, 1].argmax(), 1] / (most or 1.0))
         wide = self.is_plain and round(share, 2) != 1 and np.abs(got[:, 1] - share * asked[:, 1]).max() < 0.1 < most
-        return f"; its lanes are {share:.4g} times as wide as lane_width says" if wide else ""
+        return f"; its lanes are {share:.4g} times as wide as lane_width" if wide else ""
 
     def cause(self) -> str:
-        # Returns the simplest other statement that explains everything; empty if none does.
+        # Return the simplest other declaration that explains everything, or an empty string if there is none.
         real, facts, driven = self.said, dict(self.facts), self.facts.get("driven", 1.0)
-        # First other axes, those with the fewest changes first.
-        axes = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
-        others = ({name: value for name, value in each.items() if value != getattr(real, name)} for each in axes)
-        causes: list[dict[str, Any]] = sorted(filter(None, others), key=len)
-        # Then other units, which follow from the measured ratio. Usual units come first.
+        # First try other axes, with the fewest changes first.
+        axes = ({k: v for k, v in zip(AXES, e, strict=True) if v != getattr(real, k)} for e in product(*AXES.values()))
+        causes: list[dict[str, Any]] = sorted(filter(None, axes), key=len)
+        # Then try other units, which follow from the measured ratio. Usual units come first.
         if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
             units = [("metres_per_second", real.metres_per_second * driven), ("metres", real.metres / driven)]
             units.sort(key=lambda unit: round(min(abs(unit[1] / usual - 1) for usual in (1.0, *UNITS.values())), 2))
             tick = {"hz": real.hz / driven} if real.dt is None else {"dt": driven / real.hz}
             causes += [tick, *({name: value} for name, value in units)]
-        # Last, controls in other units or with another sign.
+        # Last, try controls in other units or with the other sign.
         causes += [{"steering": -1.0}, *({name: 1 / facts[name]} for name in OBEYED if abs(facts.get(name, 0)) > 1e-3)]
         # A cause explains everything if all experiments succeed with it.
         for each in causes:
             with suppress(AssertionError):
                 if all(is_kept for is_kept, *_ in self.promises(**each)):
                     all_ = (f"{k} = {round(v, 6) if isinstance(v, float) else repr(v)}" for k, v in each.items())
-                    return f"; all fits with {', '.join(all_)}{' times that in control' if {*each} & {*OBEYED} else ''}"
+                    return f"; use {', '.join(all_)}{' times that in control' if {*each} & {*OBEYED} else ''}"
         return ""
 
     def check_repetition(self) -> None:
-        # Equal starts must give equal runs, whatever a simulator did before, and in a new simulator.
+        # Equal starts must give equal runs, regardless of earlier runs, and also in a new simulator.
         promise = "the same start with the same seed gives the same run, to the last bit"
         run = self.drive(self.spots(0.8 * self.top), GAS, lambda n, t, _: ((-1) ** n * (1 - t), 0.02 * math.sin(t + n)))
         first, _, again = (self.again(run, *each) for each in ((), (2, self.seed + 1), ()))
@@ -413,8 +413,8 @@ class _Bench:
             again = self.again(run, beside=beside)
             self.world.simulators.give(beside)
             share = "two simulators in a process share nothing, unless the class states one_at_a_time = True"
-            _check_same(first, again, run.dt, share, "while another one is driven")
-        # Closing must work, and a new simulator must act in the same way.
+            _check_same(first, again, run.dt, share, "while another one runs")
+        # Closing must work, and a new simulator must behave in the same way.
         with warnings.catch_warnings(record=True, action="always") as told:
             self.world.simulators.give(self.real, is_sound=False)  # closes it
         self.real = self.world.simulators.take()

@@ -1,13 +1,13 @@
-"""Worlds, the roads on which scenarios run, and most code that uses highway-env.
+"""Worlds, which are the roads on which scenarios run, and most of the code that uses highway-env.
 
 A world checks a scenario and sets up a run (``engines/``). The loop of the kernel (``kernel/loop.py``) then runs it
 tick by tick. The driver of the ego depends on the policy:
 
-- planner with acceleration and steering: ``PlannerDriver`` of the kernel;
-- highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
-- other vehicle class: ``ObjectDriver`` (``driving/environment.py``);
-- policy with actions of an environment: ``ModelPolicyDriver``, or ``PolicyDriver`` if the kernel does not know the
-  lanes or the vehicle.
+- a planner in SI units: ``PlannerDriver`` of the kernel;
+- highway-env's IDM on lanes that the kernel knows: ``ModelDriver`` of the kernel;
+- any other vehicle class: ``ObjectDriver`` (``driving/environment.py``);
+- a policy that returns an environment's actions: ``ModelPolicyDriver``, or ``PolicyDriver`` if the kernel does not know
+  the lanes or the vehicle.
 
 In a :class:`pytest_pafot.SimulatorWorld`, a simulator replaces the states after each tick (``engines/simulation.py``).
 ``env.step`` (``engines/gym_replay.py``) runs environments with wrappers or their own ``step``, and confirms findings.
@@ -20,13 +20,12 @@ from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.policy import Perception
 from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.kernel.action import Drive
+from pytest_pafot.world.kernel.action import LaneCommand
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
-    "AdsFactoryError", "Control", "CrossingVehicle", "Drive", "Highway", "NpcLimits", "Observation", "Perception",
-    "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError",
-    "from_dict",
+    "AdsFactoryError", "Control", "CrossingVehicle", "Highway", "LaneCommand", "NpcLimits", "Observation",
+    "Perception", "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError", "from_dict",
 ]  # fmt: skip

@@ -44,22 +44,22 @@ from pytest_pafot.world.roads.road import Meeting, Road, StraightRoad, ego_start
 from pytest_pafot.world.run_config import Rules
 
 if TYPE_CHECKING:
-    from pytest_pafot.searching.space import SearchSpace
+    from pytest_pafot.algorithms.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True)
 class FirstDecision:
-    """The input of a policy at its first decision and the output that it must return, for error messages."""
+    """The first observation of a policy and the action that it must return, described for error messages."""
 
     is_si: bool
-    # What the policy receives, and what it must return, in a sentence.
+    # A sentence on the observation and the action.
     text: str
-    # What to do if the policy is made for something else. Empty if only the caller can say.
+    # Advice for a policy with other inputs or outputs. If it is empty, the caller gives the advice.
     advice: str = ""
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """Return what a policy receives and must return, or None if a scenario reaches no decision."""
+    """Describe the first decision of a scenario, or return None if the run fails before it."""
     seen: list[Any] = []
     trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
@@ -90,12 +90,12 @@ class RoadStart(NamedTuple):
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
 
 
-# The smallest and largest accepted duration of runs that are continued [s].
+# The smallest and largest accepted durations of runs that are continued [s].
 LASTS = (0.01, 86400.0)
 
 
 class EgoVehicle(Protocol):
-    """A field that is set to a vehicle type or its name, and returns a vehicle type."""
+    """A field that accepts a vehicle type or the name of one, and returns the vehicle type."""
 
     def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
     def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
@@ -134,7 +134,7 @@ class BaseWorld(ABC):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The ways in which roads without NPCs meet the ego's path: crossing, joining, oncoming."""
+        """The kinds of roads without NPCs that meet the ego's path: crossing, joining or oncoming."""
         return frozenset()
 
     @property
@@ -153,11 +153,11 @@ class BaseWorld(ABC):
 
     @property
     def left_out(self) -> Mapping[str, tuple[str, ...]]:
-        # The methods of the environment that change its state, but are not called in runs of a policy.
+        # The environment's methods that change its state, but that runs of a policy do not call, with their changes.
         return {}
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
-        """Return the options of the environment that have no effect in a search, grouped by what replaces them.
+        """Return the options of the environment that have no effect in a search, grouped by the reason.
 
         ``simulates`` is true if the policy receives the environment.
         """
@@ -165,11 +165,11 @@ class BaseWorld(ABC):
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """Names of further installed packages whose versions affect runs."""
+        """The names of additional installed packages whose versions affect runs."""
         return ()
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether no tick of a run of ``ads`` needs Python code, so that a run takes about a millisecond."""
+        """Return whether compiled code simulates all ticks of ``ads``, so that a run takes about a millisecond."""
         return False
 
     @property
@@ -191,7 +191,7 @@ class BaseWorld(ABC):
 
     @cached_property
     def network(self) -> Any:
-        # As a road network of highway-env.
+        # The road as a road network of highway-env.
         from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
 
         lane = self.road.lanes[0]
@@ -199,7 +199,7 @@ class BaseWorld(ABC):
 
     @property
     def stock_road(self) -> Any:
-        # As a road of highway-env without vehicles.
+        # The road as a road of highway-env without vehicles.
         from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
 
         return Road(self.network)
@@ -207,11 +207,11 @@ class BaseWorld(ABC):
     @property
     @abstractmethod
     def road(self) -> Road:
-        """The road."""
+        """The road on which the ego drives."""
 
     @property
     def start(self) -> tuple[int, float] | None:
-        """The required lane and speed [m/s] of the ego at the start; None on a straight road."""
+        """The required lane and speed [m/s] of the ego at the start, or None on a straight road."""
         return self.road.prescribed
 
     @property
@@ -233,12 +233,12 @@ class BaseWorld(ABC):
 
     @property
     def crossings(self) -> Crossings | None:
-        """The paths of other traffic that meet the ego's path, or None."""
+        """The paths that cross or join the ego's path, or None if there are none."""
         return self.rules.crossings
 
     @property
     def takes_over(self) -> tuple[str, ...]:
-        """The names of the drivers that can take over."""
+        """The names of the reference drivers that can take over."""
         return tuple(REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
@@ -250,14 +250,15 @@ class BaseWorld(ABC):
         self.rules.check_fits(scenario)
 
     def lasting(self, seconds: float) -> Self:
-        """Return this world with runs of ``seconds``, even if the scenario or ``duration`` is shorter.
+        """Return a copy of this world in which runs take ``seconds``, even if the scenario or ``duration`` is shorter.
+
+        The NPCs with the longest chain continue with its last instruction. Other NPCs keep their lane and speed.
 
         Raises:
             WorldError: if ``seconds`` is not a number from 0.01 to 86400.
         """
-        # The road and the environment stay the same, so a run starts as in this world, to the last bit. NPCs with the
-        # longest chain continue with its last instruction; the other NPCs keep their lane and speed.
-        longer = copy.copy(self)  # with its road and environment, which take long to make
+        # The copy shares the road and the environment, which take long to make. So runs start equally, to the last bit.
+        longer = copy.copy(self)
         object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
 
@@ -279,7 +280,7 @@ class BaseWorld(ABC):
             raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
-            raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
+            raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
         # The ego repeats its states, so the NPCs repeat their states, too. Shortly before the tick, the driver watches.
         seconds = tick / trace.physics_hz
         return self._driven_by(
@@ -287,7 +288,7 @@ class BaseWorld(ABC):
         )
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
-        # The states are equal to the last bit, whatever the policy was.
+        # The states repeat to the last bit, regardless of the policy.
         return RecordedBody(trace, tick)
 
     def _driven_by(
@@ -314,12 +315,12 @@ class BaseWorld(ABC):
         body: Body | None = None,
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
-        stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
+        stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         return vehicles.drive(driver, guard, self._own_ends(rules, scenario, vehicles, guard))
 
     def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
-        # What may end a run early in the environment of this world; None if nothing does.
+        # The methods with which the environment of this world can end a run early, or None.
         return None
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
@@ -338,8 +339,8 @@ class BaseWorld(ABC):
         except FieldError as error:
             raise WorldError(f"ego: {error}") from None
         if self.ego.braking < HARDEST:
-            expected = f"a vehicle that can brake at {HARDEST:g} m/s^2, as the rules require of every driver"
-            received = f"{self.ego.described}, with {self.ego.braking:g}"
+            expected = f"a vehicle that can brake at {HARDEST:g} m/s^2, which the rules require of every driver"
+            received = f"{self.ego.described}, which can brake at {self.ego.braking:g} m/s^2"
             raise WorldError(field="ego", expected=expected, received=received)
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
@@ -374,8 +375,8 @@ class BaseWorld(ABC):
         )
 
     def space(self, given: Mapping[str, Any]) -> SearchSpace:
-        """Return a space of scenarios that fits the world, with the given fields; see ``space_on``."""
-        from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
+        """Return the space of the scenarios that fit this world and the given fields, as ``space_on`` makes it."""
+        from pytest_pafot.algorithms.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
 
         given = {**given, "tick": self.tick} if self.tick else given
         return space_on(float(self.speed_limit), float(self.longest_run), given, self.road_start)
@@ -390,7 +391,7 @@ class BaseWorld(ABC):
         chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
         try:
             if npcs:
-                # Whether so many NPCs fit depends on the cells around the start, not on what they do.
+                # The number that fits depends only on the cells around the start, so these NPCs just slow down.
                 time = self.tick or 1.0
                 self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time))
         except ScenarioError:
@@ -398,7 +399,7 @@ class BaseWorld(ABC):
         return True
 
     def run_of(self, trace: Trace) -> Run:
-        """Return a trace of this world in the form that a test function receives."""
+        """Return the run, as a test function receives it, for a trace of this world."""
         return Run(trace, take_over=TakingOver(self))
 
 
@@ -410,14 +411,14 @@ def _reference_driver(name: str) -> ReferenceDriver:
 
 @dataclass(frozen=True, slots=True)
 class TakingOver:
-    """A callable that repeats a run in which the careful driver takes over from the ego."""
+    """A callable that repeats a run up to a tick, at which the careful driver takes over."""
 
     world: BaseWorld
 
     def __call__(self, trace: Trace, tick: int) -> Trace:
         try:
             return self.world.take_over(trace, tick, CAREFUL)
-        except Exception as error:  # of a user's simulator
+        except Exception as error:  # raised by a user's simulator
             text = f"the world {type(self.world).__name__} could not run take_over with the driver {CAREFUL!r}: "
             raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
@@ -436,7 +437,7 @@ class Highway(BaseWorld):
     """A straight motorway of three to six lanes.
 
     The ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a
-    :class:`pytest_pafot.Drive`. It may also be a highway-env vehicle class, which drives itself.
+    :class:`pytest_pafot.LaneCommand`. It can also be a highway-env vehicle class, which drives itself.
 
     Attributes:
         lanes: number of lanes, from 3 to 6.
@@ -480,7 +481,7 @@ class Highway(BaseWorld):
 
     @cached_property
     def road(self) -> StraightRoad:
-        # So long that no vehicle reaches the end, even in a run that is continued.
+        # The road is so long that no vehicle reaches the end, even in a run that is continued.
         length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + DRIVEN_ON)
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
@@ -489,7 +490,7 @@ class Highway(BaseWorld):
 
         Args:
             scenario: scenario to run.
-            ads_factory: function that returns the policy; or a highway-env vehicle class, which drives itself.
+            ads_factory: function that returns the policy, or a highway-env vehicle class, which drives itself.
             decisions: first decisions of the run, in the form of ``Trace.actions``. The policy is called after them.
 
         Raises:
@@ -511,7 +512,7 @@ class Highway(BaseWorld):
         if ads.drives_itself:
             if decisions:
                 raise WorldError(
-                    f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
+                    f"decisions: expected none for {ads.given!r}, because a vehicle class drives itself and returns no "
                     f"actions, received {len(decisions)}; omit them"
                 )
             return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given)
@@ -530,7 +531,7 @@ class Highway(BaseWorld):
         return replay_highway(self.rules, scenario, Policy(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
+        """Return the world as data for a corpus file, which :func:`pytest_pafot.world.from_dict` reads."""
         return {"kind": "highway", **self._to_dict()}
 
     @cached_property

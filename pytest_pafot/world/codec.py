@@ -1,7 +1,7 @@
-"""Conversion of worlds to data in files and back.
+"""Conversion between worlds and the data in files.
 
-Files may come from untrusted sources, so no file may decide which code runs. A user's simulator, or wrappers around an
-environment, are code. For such a world, a replay uses the world of the test, if it has the name that the file contains.
+Files may come from untrusted sources, so no file may decide which code runs. A user's simulator and the wrappers of an
+environment are code. For a world with code, a replay uses the test's world, if its name matches the file.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
-# The classes of the package's simulators. Their keys are the `kind` in files and the name of the module.
+# The package's simulators: for each `kind` in files, which is also the name of the module, the name of the class.
 SIMULATORS: Mapping[str, str] = MappingProxyType({"metadrive": "MetaDrive", "sumo": "Sumo"})
 
-# The `kind` of a user's simulator in files. In earlier versions, also of worlds with a `rollout` of their own.
+# The `kind` of a user's simulator in files. Earlier versions also used it for worlds with a custom `rollout`.
 OWN = "own"
 
 BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Highway, "gym": World})
@@ -42,7 +42,7 @@ LONGEST_DECISION = 600.0
 
 
 def checked_world(given: Any) -> BaseWorld:
-    """Return a world if it is one of this package.
+    """Return the argument if it is a world of this package.
 
     Raises:
         WorldError: for anything else, including a derived class.
@@ -60,7 +60,7 @@ def checked_world(given: Any) -> BaseWorld:
 
 
 def from_dict(data: Mapping[str, Any]) -> BaseWorld:
-    """Make a world from the data that :func:`described` or ``to_dict`` of a built-in world has returned.
+    """Make a world from data that :func:`described`, or ``to_dict`` of a built-in world, has returned.
 
     Raises:
         WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env, or
@@ -104,8 +104,8 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
 
 
 def _may_name(path: Any) -> bool:
-    # highway-env imports what the file names. So it must be a class of highway-env, or a vehicle class of the user that
-    # has been imported already, for example by the test.
+    # highway-env imports the class that the file names. So it must be a class of highway-env, or a user's vehicle class
+    # that has already been imported, for example by the test.
     module, _, name = str(path).rpartition(".")
     found = vars(sys.modules.get(module, object)).get(name)
     is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [each.__module__ for each in found.__mro__]
@@ -113,7 +113,7 @@ def _may_name(path: Any) -> bool:
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {field.name for field in fields(cls) if field.compare}  # it is part of the world
+    known = {field.name for field in fields(cls) if field.compare}  # the other fields are not part of a world
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         expected = f"the fields {', '.join(sorted(known))}"
@@ -124,19 +124,19 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
         received = ", ".join(values) or "none"
         raise WorldError(field=f"world (kind {kind})", expected="the field data", received=received)
-    # The room of simulators imports this one.
+    # Imported only here, because the simulators import this module.
     simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
     try:
         return SimulatorWorld.of(simulator, values["data"])
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = f"data of a world of pafot.{kind}", f"it raised {type(error).__name__}: {error!s:.200}"
+        expected, fix = f"data for pafot.{kind}", f"the class raised {type(error).__name__}: {error!s:.200}"
         raise WorldError(field="world.data", expected=expected, received=shown(values["data"]), fix=fix) from error
 
 
 def described(world: BaseWorld) -> dict[str, Any]:
-    """Return the data of a world for a file."""
+    """Return a world as data for a file."""
     data = world.to_dict()
     if not isinstance(world, SimulatorWorld):
         return data
@@ -160,7 +160,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
         ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
-            expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
+            expected, received = f"{what} of at most {most:g} s, as in the test's world", f"{asked:g} s"
             raise WorldError(
                 field="world.data", expected=expected, received=received, fix="increase the limit of the test's world"
             )
@@ -170,7 +170,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
 def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
     """Return the data of a world with runs and decisions no longer than in ``own``, the test's world.
 
-    A file from an untrusted source must not decide how long a session takes. Of a longer run, only the start is
+    A file from an untrusted source must not decide how long a session takes. Only the start of a longer run is
     simulated.
     """
     limits: dict[str, float] = {}
@@ -199,7 +199,7 @@ def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
     config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
-        # A road may end before the duration that the test asks for, which its files then hold.
+        # On a short road, runs end before the requested duration, which is the duration in files.
         seconds = float(own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"])
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
@@ -210,7 +210,7 @@ def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
 
 
 def is_code(data: Mapping[str, Any]) -> bool:
-    """Return whether the world of a file is code, so that the test must name it."""
+    """Return whether the world of a file is code, which only the test can provide."""
     return data.get("kind") == OWN or "wrappers" in data
 
 
@@ -218,7 +218,7 @@ def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """Return ``world``, which the test names, if it is the world of the file.
 
     Raises:
-        WorldError: if a field of ``NAMED_BY`` differs, or if an earlier version saved the file.
+        WorldError: if a field of ``NAMED_BY`` differs, or if the world of the file is no longer supported.
     """
     now = described(world)
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
@@ -228,14 +228,14 @@ def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
-    expected = f"that the test names the world in which the scenario was saved, {_title(data)}"
-    way = "set it with @pafot.search(world=...), the fixture pafot_world or --world"
-    fix = f"{way}; if only its name has changed, write the new name into the file"
-    raise WorldError(expected=f"{expected}, because a file contains no code", received=_title(now), fix=fix)
+    expected = f"{_title(data)}, the world in which the scenario was saved"
+    way = "a file contains no code, so set its world with @pafot.search(world=...), the fixture pafot_world or --world"
+    fix = f"{way}; if only the name of the world has changed, write the new name into the file"
+    raise WorldError(expected=expected, received=_title(now), fix=fix)
 
 
 def of_named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return the world of a file: ``world``, which the user names, if the file's world is code."""
+    """Return the world of a file, or ``world``, which the user names, if the file's world is code."""
     same = named(data, world)
     return same if is_code(data) else from_dict(data)
 
@@ -248,7 +248,7 @@ def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
 
 
 def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from the world in which a file is replayed, unless that is code."""
+    """Describe how the test's world differs from the world of a replay, unless the file's world is code."""
     if is_code(data):
         return []
     return differences("world", described(of_file(data, scenario, own)), described(own))
@@ -257,7 +257,7 @@ def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> li
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
     if kind == OWN:
-        return f"a simulator of the class {data['class']}" if "class" in data else "a simulator of the user's own"
+        return f"a simulator of the class {data['class']}" if "class" in data else "a user's simulator"
     if kind == "gym":
         wrappers = f" with {', '.join(data['wrappers']) or 'its registered wrappers'}" if "wrappers" in data else ""
         return f"pafot.World({data['env_id']!r}){wrappers}"

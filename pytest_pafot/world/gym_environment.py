@@ -1,4 +1,4 @@
-"""A highway-env environment for a world: checked, without random traffic, in the requested wrappers."""
+"""The environment of a world: checked, without random traffic, and in the requested wrappers."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ TRAFFIC_OPTIONS = (
 # These have no effect on an ego that decides without the environment's observations and actions.
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
 
-# The largest accepted values of options that determine how long highway-env computes. With these values, it takes
-# seconds to make an environment.
+# The largest accepted values of options that affect how long highway-env computes. With these values, it takes seconds
+# to make an environment.
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
         "lanes_count": 20,
@@ -107,19 +107,20 @@ MOST_NUMBERS = 10_000_000
 # A part of an observation counts as at least this many values, because even a small part takes milliseconds.
 LEAST_NUMBERS = MOST_NUMBERS // 20
 
-# The attributes through which highway-env reaches the ego. A run puts its own ego there.
+# The attributes through which highway-env accesses the ego. A run replaces this ego.
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 
 # The methods that report after a step that the episode is over.
 ENDS = ("_is_terminated", "_is_truncated")
-# The classes of highway-env that terminate episodes only by a crash, or when the ego leaves a curved road, which ends
+# The classes of highway-env that terminate episodes only after a crash, or when the ego leaves a curved road. Both end
 # runs anyway.
 ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv")
 
 # The methods that only `step` and `reset` of an environment call. Runs do not need them.
 LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
 
-# How many resets of an environment are compared. A wrapper's may be slow, for example if it records videos.
+# The number of resets that are compared, which is lower with wrappers. These can be slow, for example if one records
+# videos.
 RESETS, RESETS_IN_WRAPPERS = 10, 4
 
 # Attributes of these types are values, not parts of highway-env.
@@ -128,11 +129,11 @@ PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 # Attributes of these types can be changed in place.
 MUTABLE = (list, dict, set, bytearray, deque, np.ndarray)
 
-# The time for which an environment may ignore interruptions before the process of a worker ends [s].
+# The time for which an environment can ignore an interruption before its worker process is ended [s].
 IGNORED = 0.5
 
-# `gymnasium.make` itself puts these around any environment. They check calls or end episodes. They change neither
-# observations nor actions.
+# The wrappers that `gymnasium.make` itself adds. They check calls or end episodes, but change neither observations nor
+# actions.
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 
 
@@ -146,7 +147,7 @@ class EnvironmentGuard(HangGuard):
 
     def __init__(self, hang_limit: float) -> None:
         super().__init__(patience_with_world(hang_limit))
-        self.silence = hang_limit  # as around decisions: the timer may still run when the next decision begins
+        self.silence = hang_limit  # as for decisions, because the timer may still run when the next decision starts
 
     @contextmanager
     def call(self) -> Iterator[None]:
@@ -166,7 +167,7 @@ class EnvironmentGuard(HangGuard):
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Do not count the time of a ``with`` block within a call, in which other code runs."""
+        """Exclude a ``with`` block, in which other code runs, from the time of a call."""
         started, now = self.started, self.clock()
         self.decision_ends()
         try:
@@ -181,7 +182,7 @@ class EnvironmentGuard(HangGuard):
 
 
 def _interrupted_method(error: AdsHang) -> str:
-    # The innermost method of the user's counts: a wrapper in an endless loop spends most of its time in the
+    # Prefer the innermost method of the user, because a wrapper in an endless loop spends most of its time in the
     # environment.
     found, is_own = "the environment", False
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -194,7 +195,7 @@ def _interrupted_method(error: AdsHang) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GymEnvironment:
-    """The environment of a world, which is made at its first use.
+    """The environment of a world. It is made when it is first used.
 
     Attributes:
         env_id: id of the registered environment.
@@ -220,8 +221,8 @@ class GymEnvironment:
                 yield
         except WorldHang as error:
             fix = "correct it, or increase hang_limit of the world"
-            expected = "an environment whose methods return"
-            raise WorldError(field="env_id", expected=expected, received=str(error), fix=fix) from error
+            expected = "an environment whose methods return in time"
+            raise WorldError(field="env_id", expected=expected, received=f"a failure: {error}", fix=fix) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
         """Make a new environment in all its wrappers, with or without random traffic.
@@ -235,7 +236,7 @@ class GymEnvironment:
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
         try:
-            # What an environment sets in classes, such as in its __init__, holds in an episode of its own traffic.
+            # Constants that an environment changes, for example in its __init__, apply in episodes of its own traffic.
             kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
             with kept as changed, self.in_time():
                 env = _make_environment(self.env_id, creator, self._given_config, has_traffic=has_traffic)
@@ -253,11 +254,11 @@ class GymEnvironment:
             if not given:
                 field, received = "env_id", repr(self.env_id)
                 expected = "an environment that gymnasium.make can create, and that can be reset with seed 0"
-            fix = f"it raised {type(error).__name__}: {error!s:.200}"
+            fix = f"the environment raised {type(error).__name__}: {error!s:.200}"
             raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
-        # Without them, the policy might receive other observations than it was made for.
+        # Without these wrappers, the policy might receive other observations than it was made for.
         added = wrapper_names(env)
         if self.wrappers is None and added:
             raise WorldError(
@@ -265,19 +266,19 @@ class GymEnvironment:
                 expected="an environment that is registered without wrappers",
                 received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
                 fix=f"to use only the registered wrappers, write "
-                f"pafot.World({self.env_id!r}, wrappers=[]); the list is for additional wrappers",
+                f"pafot.World({self.env_id!r}, wrappers=[]); the list can contain additional wrappers",
             )
         with self.in_time():
             return _wrap(env, self.wrappers or ())
 
     @cached_property
     def _changed(self) -> dict[Any, dict[str, Any]]:
-        # By class, the constants of highway-env's vehicle classes that the environment sets.
+        # The constants that the environment sets in highway-env's vehicle classes, by class.
         return {}
 
     @cached_property
     def outer(self) -> Any:
-        """The environment in its wrappers, which may have changed its configuration in a reset."""
+        """The environment in its wrappers, after a reset in which these may have changed the configuration."""
         outer = self.make()
         if wrapper_names(outer):
             env = outer.unwrapped
@@ -319,10 +320,10 @@ class GymEnvironment:
                 was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
                 raise WorldError(
                     field="env_id",
-                    expected="an environment with equal resets for the same seed, so that runs can be repeated",
+                    expected="an environment whose resets with the same seed are equal, so that runs can be repeated",
                     received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
-                    fix="does it count its resets, or draw random numbers without the seed? Make the difference an "
-                    "option of config=, with a separate value for each test",
+                    fix="does it count its resets, or draw random numbers without the seed? Replace the difference by "
+                    "an option in config=, with a separate value for each test",
                 )
 
     @property
@@ -350,10 +351,10 @@ class GymEnvironment:
 
     @cached_property
     def traffic(self) -> TrafficClass:
-        """The class of the environment's traffic, which its code expects of NPCs.
+        """The class of the environment's traffic, which the environment's code expects NPCs to have.
 
         Raises:
-            WorldError: if the NPCs cannot be of that class.
+            WorldError: if the NPCs cannot have this class.
         """
         given = self.unwrapped.config.get("other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle")
         road = self.road(np.random.default_rng(0))
@@ -367,15 +368,15 @@ class GymEnvironment:
             let_through(error)
             raise WorldError(
                 field="config.other_vehicles_type",
-                expected="a class of highway-env's vehicles that can be called with (road, position, heading, speed) "
-                "and does not move its vehicles, because the NPCs are of this class",
+                expected="a highway-env vehicle class that can be called with (road, position, heading, speed) and "
+                "does not move its vehicles, because the NPCs have this class",
                 received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
                 fix="correct the class, or set the option to a different one, such as "
                 "'highway_env.vehicle.behavior.IDMVehicle'",
             ) from error
 
     def road(self, np_random: Any = None) -> Any:
-        """Return the road without vehicles and objects, for one run."""
+        """Return a new road without vehicles and objects, for one run."""
         own, connected = self.unwrapped.road, self.unwrapped.config.get(CONNECTED, False)
         made = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
             self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
@@ -394,17 +395,17 @@ class GymEnvironment:
 
     @property
     def config_of_wrappers(self) -> dict[str, Any]:
-        """The configuration after a reset in wrappers; empty without wrappers."""
+        """The configuration after a reset of the wrapped environment, or an empty dict without wrappers."""
         return dict(self.unwrapped.config) if wrapper_names(self.outer) else {}
 
     @property
     def route(self) -> tuple[Any, ...] | None:
-        """The ego's planned route, or None without one, and on straight roads."""
+        """The ego's planned route. None if it has no route, or if the road is straight."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must call the environment's ``step``, because it overrides highway-env's ``step``."""
+        """Return whether runs must call the environment's ``step``, because it or its road overrides highway-env."""
         road = self.unwrapped.road
         steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
@@ -418,13 +419,13 @@ class GymEnvironment:
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
-        """The methods of the environment that may end an episode for reasons that runs do not know.
+        """The methods of the environment that can end an episode earlier than a run.
 
-        Runs know contacts, the duration and, on roads that are not straight, that the ego has left the road.
+        A run ends anyway at a contact, after the duration and, unless the road is straight, when the ego leaves it.
         """
         found, cls, config = [], type(self.unwrapped), self.unwrapped.config
         for name in ENDS:
-            method = getattr(cls, name)  # in a class of the user's own it need not be a function
+            method = getattr(cls, name)  # in a user's class, it need not be a function
             owner = getattr(method, "__qualname__", "").partition(".")[0]
             by_crash = owner in ENDED_ANYWAY or (owner == "HighwayEnv" and not config.get("offroad_terminal"))
             is_stock = str(getattr(method, "__module__", "")).startswith("highway_env.")
@@ -443,17 +444,17 @@ class GymEnvironment:
 
     @property
     def has_own_ends(self) -> bool:
-        """True if an episode may end before the duration of the run.
+        """True if an episode can end before the duration of the run.
 
-        The return value of a user's ``step`` is not known in advance.
+        This includes all environments with a user's ``step``, because its return value is not known in advance.
         """
         return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
 
     @cached_property
     def ends_in_steps(self) -> bool:
-        """True if an episode may end only in calls of ``step``.
+        """True if runs must call ``step`` to find out whether an episode has ended.
 
-        The cause can be a wrapper, a limit of steps outside of other wrappers, or the environment's own ``step``.
+        A wrapper, a limit of steps outside of other wrappers, or the environment's own ``step`` can then end it.
         """
         others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return self.has_own_step or any(
@@ -462,14 +463,14 @@ class GymEnvironment:
 
     @cached_property
     def sets_ends(self) -> bool:
-        # A copy of the environment would ask the original whether the episode has ended.
+        # True if the environment sets these methods on itself. Copies would then call the methods of the original.
         return any(name in vars(self.unwrapped) for name in ENDS)
 
     @cached_property
     def own_state(self) -> tuple[str, ...]:
-        """The names of the attributes with values that the environment's code may change in place.
+        """The names of attributes with values that the environment's code can change in place.
 
-        Each run has copies of them. Values that cannot be copied, and those of libraries, are shared.
+        Each run gets copies of these values, except for values of libraries and values that cannot be copied.
         """
         env, found = self.unwrapped, []
         homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {"highway_env", "gymnasium"}
@@ -491,7 +492,7 @@ class GymEnvironment:
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The user's methods for rewards, infos and ends that change state, each with what it changes.
+        """The user's methods for rewards, infos and ends that change attributes, with the attributes' names.
 
         Runs that are not episodes of the environment do not call them.
         """
@@ -505,7 +506,7 @@ class GymEnvironment:
         for name in own:
             given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(name, (action,))
             before = _plain_state(env)
-            with suppress(Exception), self.in_time():  # an episode would show it
+            with suppress(Exception), self.in_time():  # an episode would report the error
                 getattr(env, name)(*given)
             after = _plain_state(env)
             changed = [key for key in after if after[key] != before.get(key)]
@@ -514,7 +515,7 @@ class GymEnvironment:
         return found
 
     def check_keeps_no_ego(self) -> None:
-        """Reject an environment with code that uses the ego of its reset instead of the ego of the run.
+        """Reject an environment whose code keeps using the ego of its reset during a run.
 
         Raises:
             WorldError: if the ego of a run does not replace that ego everywhere.
@@ -524,12 +525,12 @@ class GymEnvironment:
                 field="env_id",
                 expected="an environment that reads its ego as self.vehicle",
                 received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` keeps the ego of its reset",
-                fix="the ego of a run replaces it; read self.vehicle each time instead",
+                fix="read self.vehicle each time, because every run has a new ego",
             )
 
     @cached_property
     def _keeper(self) -> str:
-        # A collection or a helper with the environment's ego in it. The ego of a run replaces that ego only in
+        # The name of a collection or helper that contains the environment's ego. A run replaces this ego only in
         # attributes of the environment itself.
         env = self.unwrapped
         for name, value in vars(env).items():
@@ -543,11 +544,11 @@ class GymEnvironment:
     def without_effect(
         self, *, is_planner: bool, drives_itself: bool, simulates: bool, ends: bool
     ) -> dict[str, list[str]]:
-        """Return the options that have no effect in a search, grouped by what replaces them.
+        """Return the options that have no effect in a search, grouped by the reason.
 
         Args:
             is_planner: whether the ego decides in SI units.
-            drives_itself: whether the ego is a vehicle class, which may follow others as highway-env's traffic does.
+            drives_itself: whether the ego is a vehicle class, which may react to other vehicles as IDM does.
             simulates: whether the policy receives the environment, with vehicles of its traffic's class.
             ends: whether the environment can end runs.
         """
@@ -557,7 +558,7 @@ class GymEnvironment:
         for name in given:
             told = ""
             if name == "other_vehicles_type" and (is_read or not (is_planner or drives_itself)):
-                continue  # of this class, the environment's own code sees the NPCs
+                continue  # NPCs have this class in the environment's code
             if name in TRAFFIC_OPTIONS or (name == CONNECTED and not (drives_itself or simulates)):
                 told = "NPCs replace the environment's own traffic"
             elif name in POLICY_OPTIONS and (is_planner or drives_itself):
@@ -604,7 +605,7 @@ def _plain_state(env: Any) -> dict[str, str]:
 
 
 def _beginning(outer: Any) -> dict[str, str]:
-    # All that a run reads of an environment after a reset, as strings by name.
+    # The values that a run reads from an environment after a reset, as strings by name.
     env = outer.unwrapped
     replaced = (*TRAFFIC_OPTIONS, *REPLACED)
     found = {f"config[{name!r}]": repr(value) for name, value in env.config.items() if name not in replaced}
@@ -620,7 +621,7 @@ def _beginning(outer: Any) -> dict[str, str]:
 
 
 def _assigned(cls: Any, name: str) -> list[str]:
-    # Including methods of the same object that it calls. Without a source, there are none.
+    # The attributes that a method assigns, also by calls of its object's other methods; none without source code.
     found, names = dict[str, None](), [name]
     for called in names:
         functions = [vars(each).get(called) for each in cls.__mro__]
@@ -669,9 +670,9 @@ def wrappers_of(env: Any) -> list[Any]:
 
 @contextmanager
 def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
-    """Undo all changes of constants of highway-env's vehicle classes in a ``with`` block.
+    """Undo changes that a ``with`` block makes to constants of highway-env's vehicle classes.
 
-    After the block, the yielded mapping contains the new constants by class.
+    After the block, the yielded mapping contains the changed constants by class.
     """
     classes, queue = set(), [Vehicle]
     while queue:
@@ -713,14 +714,14 @@ def _creator(env_id: str) -> Any:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
         entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
         homes = ((name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries)
-        # gymnasium's own environments would be refused.
+        # gymnasium's own environments would be rejected.
         near = difflib.get_close_matches(
             env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
         )
         meant = f"; did you mean {near[0]!r}?" if near else ""
         fix = (
-            f"highway-env's straight roads are {', '.join(known)}; for your own environment, "
-            f"import the module that registers it first, as `--world module:id` does, or write {OTHER_KIND}{meant}"
+            f"highway-env's straight roads are {', '.join(known)}; for your own environment, first "
+            f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}{meant}"
         )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
@@ -736,7 +737,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Reject values with which highway-env would take minutes. Options of unknown meaning are not checked."""
+    """Reject values with which highway-env would compute for minutes, except in options of unknown meaning."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -762,13 +763,13 @@ def _check_size(place: str, config: Any) -> None:
         raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"a grid of {cells:.0f} cells")
     for name, value in config.items():
         if limit := _exceeded(name, value):
-            expected, received = f"{limit}, so that an environment is made in seconds", f"{value!r:.100}"
+            expected, received = f"{limit}, so that the environment is made in seconds", f"{value!r:.100}"
             raise WorldError(field=f"{place}.{name}", expected=expected, received=received)
         _check_size(f"{place}.{name}", value)
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """Return the limit that an option's value, or an entry of its list, violates; an empty string if none."""
+    """Return the limit that the value of an option exceeds, also in a list, or an empty string."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
@@ -795,7 +796,7 @@ def _cells(grid: Mapping[str, Any]) -> float:
 
 
 def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
-    # An estimate, without the kinds of observations for which there are other limits.
+    # An estimate that ignores the kinds of observations with other limits.
     if not isinstance(observation, Mapping):
         return 0.0
 
@@ -822,7 +823,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
     default = env.default_config()
     unknown = sorted(set(given) - set(default))
     if unknown:
-        fix = _hint(unknown[0], default, "it has")
+        fix = _hint(unknown[0], default)
         raise WorldError(field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix)
     for name, value in given.items():
         if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail during a run
@@ -850,19 +851,19 @@ def _check_names(place: str, given: Any, known: Collection[str]) -> None:
         return
     for name in given:
         if name not in known:
-            fix = _hint(name, known, "there are")
+            fix = _hint(name, known)
             raise WorldError(field=place, expected="options of highway-env", received=str(name), fix=fix)
         if name in NESTED:
             _check_names(f"{place}.{name}", given[name], known)
 
 
-def _hint(name: str, known: Collection[str], all_are: str) -> str:
+def _hint(name: str, known: Collection[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"{all_are} {', '.join(sorted(known))}"
+    return f"did you mean {near[0]!r}?" if near else f"the options are {', '.join(sorted(known))}"
 
 
 def _options(module: Any) -> set[str]:
-    # Each class also accepts the options of all others, and highway-env's own configurations rely on that.
+    # Each class also accepts the options of all other classes, and highway-env's configurations rely on that.
     kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
     taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
     return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
@@ -877,7 +878,7 @@ def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_t
     parameters = inspect.signature(creator).parameters
     takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     keywords: dict[str, Any] = {"config": config} if takes_config else {}
-    with warnings.catch_warnings():  # who names merge-v0 has chosen it, and needs no warning in every run
+    with warnings.catch_warnings():  # a user who chose merge-v0 needs no warning in every run
         warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
         env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords)
     unwrapped: Any = env.unwrapped
@@ -889,7 +890,7 @@ def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_t
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace values that equal a default of the environment by that default, such as a list by a tuple."""
+    """Replace each value that is equivalent to the environment's default by the default, such as a list by a tuple."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 Ends = Literal["environment", "duration"]
 ENDS: tuple[Ends, ...] = get_args(Ends)
 
-# The duration of a run in the paper [s]. It is the default if an environment specifies none, and on curved roads.
+# The duration of a run in the paper [s]. It is the default on curved roads, and if an environment specifies none.
 LONGEST_RUN = 60.0
 
 
@@ -48,10 +48,10 @@ LONGEST_RUN = 60.0
 class World(BaseWorld):
     """A world on the road of a registered gymnasium environment that derives from highway-env's ``AbstractEnv``.
 
-    The policy receives the observations of the environment and returns its actions. Its factory may have a parameter
-    ``env``, for a planner that simulates inside the environment. The policy may also be a highway-env vehicle class,
-    which drives itself. With ``planner_hz``, it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The NPCs
-    replace the environment's random traffic.
+    The policy receives the observations of the environment and returns actions. The factory of the policy can have a
+    parameter ``env``, for a planner that simulates inside the environment. The policy can also be a highway-env vehicle
+    class, which drives itself. With ``planner_hz``, the policy is a planner in SI units, as in
+    :class:`pytest_pafot.Highway`. The NPCs replace the environment's random traffic.
 
     Attributes:
         env_id: id of the registered environment, such as ``"highway-v0"``.
@@ -64,7 +64,7 @@ class World(BaseWorld):
         planner_hz: decisions of a planner per second, a divisor of the ``simulation_frequency``. None for a policy with
             the observations and actions of the environment.
         lasts, ego: as in :class:`pytest_pafot.Highway`.
-        ends: ``"environment"`` if a run also ends when the environment ends an episode; ``"duration"`` if it continues.
+        ends: ``"environment"`` if the environment can end a run early, or ``"duration"`` if it cannot.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made at the first use, or by :meth:`check`.
@@ -130,12 +130,12 @@ class World(BaseWorld):
 
     @property
     def road(self) -> Road:
-        """The environment's road; if it is not straight, the ego's path through it."""
+        """The environment's road, or the ego's path through it unless it is straight."""
         return self.rules.road
 
     @property
     def lanes(self) -> int:
-        # Along the ego's path, if the road is not straight.
+        # On a road that is not straight, the number along the ego's path.
         return self.road.lane_count
 
     @property
@@ -147,17 +147,17 @@ class World(BaseWorld):
 
     @property
     def speed_limit(self) -> float:
-        # Of the fastest lane [m/s].
+        # The limit of the fastest lane [m/s].
         return self.road.speed_limit
 
     @property
     def observation_space(self) -> Any:
-        # After all wrappers. None for a planner in SI units.
+        # The space of the outermost wrapper; None for a planner in SI units.
         return None if self.planner_hz is not None else self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
-        # Before all wrappers. None for a planner in SI units.
+        # The space of the outermost wrapper; None for a planner in SI units.
         return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
@@ -190,7 +190,7 @@ class World(BaseWorld):
                 "sees a pafot.Observation; omit planner_hz= for planners that simulate inside the environment"
             )
         if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
-            # In some environments policies need the environment's own steps, and vehicle classes do not.
+            # In some environments, policies need the environment's own steps, but vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
         drives_itself = self.planner_hz is not None or policy.drives_itself
@@ -240,7 +240,7 @@ class World(BaseWorld):
         return {name: changed for name, changed in left_out.items() if name not in asked}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
+        """Return the world as data for a corpus file.
 
         Raises:
             WorldError: if the environment cannot be used.
@@ -256,7 +256,7 @@ class World(BaseWorld):
 
     @cached_property
     def environment(self) -> GymEnvironment:
-        # Its first use imports highway-env.
+        # Accessing it imports highway-env.
         from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
 
         return GymEnvironment(self.env_id, self.config, self.wrappers, self.hang_limit)
@@ -287,8 +287,8 @@ class World(BaseWorld):
         check_ticks(duration, physics_hz)
         road: Road | None = self.environment.straight_road
         if road is None:
-            from pytest_pafot.world.roads.junction import with_junction  # noqa: PLC0415  (only for bent roads)
-            from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for bent roads)
+            from pytest_pafot.world.roads.junction import with_junction  # noqa: PLC0415  (only for curved roads)
+            from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for curved roads)
 
             duration = min(duration, self._longest)
             surveyed = survey(env, self.env_id, self.limits, duration * TOP_SPEED)
@@ -302,32 +302,32 @@ class World(BaseWorld):
             return made
         in_steps = self.planner_hz is None and self.environment.ends_in_steps
         made = replace(made, ends=self.environment.own_ends, ends_in_steps=in_steps)
-        # A `step` of the user's own may repeat actions, so its ticks are not known.
+        # A user's `step` may repeat actions, so the number of its ticks is not known.
         is_known = not self.environment.has_own_step or type(env).step.__module__.startswith("highway_env.")
         if (steps := self.environment.step_limit) is None or not is_known:
             return made
         limit = steps * made.step_ticks
-        # Without a stated duration, as in two-way-v0, the limit is how long runs should last, and ends none early.
+        # If no duration is stated, as in two-way-v0, the limit is the intended duration, so it ends no run early.
         is_early = limit < duration * physics_hz and (self.duration is not None or "duration" in config)
         return replace(made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz))
 
     @property
     def _wanted(self) -> float:
-        # On a straight road: `duration`, or the environment's own [s].
+        # The duration on a straight road: `duration`, or the environment's own [s].
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
-        # On other roads [s].
+        # The longest duration on other roads [s].
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)
 
 
 def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of a world's actions by their numbers; empty if they are not of type ``DiscreteMetaAction``."""
+    """Return the names of a world's discrete meta-actions, in the order of their numbers, or an empty tuple."""
     config = world.get("config")
     given = config.get("action") if isinstance(config, Mapping) and not world.get("planner_hz") else None
     if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":

@@ -18,7 +18,7 @@ BEND_SHARE = 0.8
 # The defaults of worlds: the gap between the ego and the cells ahead of and behind it [m], the time gap at which NPCs
 # start in these cells [s], and the wall-clock limit of a decision [s].
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
-# Decisions of a planner per second, as on a Highway. If an episode has fewer ticks per second, it decides at each.
+# Decisions of a planner per second, as on a Highway. An episode with fewer ticks per second has one at each tick.
 PLANNER_HZ = 5
 # The environment option for the lanes in which highway-env's IDM looks for other vehicles. Only egos of its class look
 # there.
@@ -36,7 +36,7 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     }
 )
 
-# The limits that a vehicle type can have, too.
+# The limits that a vehicle type can have as well.
 OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
 
 
@@ -68,9 +68,9 @@ class NpcLimits:
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
     def of(self, vehicle: VehicleType) -> NpcLimits:
-        """Return the limits of an NPC of a vehicle type: the lower one of each pair."""
+        """Return the limits of an NPC of a vehicle type, which can be lower than these."""
         if vehicle is CAR:
-            return self  # as below, in no time
+            return self  # the result of the code below, but faster
         own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
         return replace(self, **own) if own else self
 
@@ -88,7 +88,7 @@ class NpcLimits:
         return speed
 
 
-# Ends error messages for users whose simulator is not highway-env.
+# The end of error messages for users whose simulator is not highway-env.
 OTHER_KIND = 'a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")'
 
 # The smallest and largest accepted rates: physics ticks, and decisions per second.
@@ -105,7 +105,7 @@ def number_within(name: str, value: object, low: float, high: float, why: str = 
 
 
 def whole_if_possible(rate: float) -> float:
-    """Return a rate as an int if it is whole except for rounding."""
+    """Return a rate as an int if it is a whole number, except for rounding errors."""
     return round(rate) if abs(rate - round(rate)) < 1e-9 * rate else rate
 
 
@@ -135,7 +135,7 @@ def plain_data(name: str, value: Any) -> Any:
 def check_ticks(duration: float, physics_hz: float) -> None:
     """Reject a duration [s] with more than ``MOST_TICKS`` ticks, because the record would take too much memory."""
     if duration * physics_hz > MOST_TICKS:
-        expected = f"at most {int(MOST_TICKS / physics_hz)} s at {physics_hz:.6g} ticks a second"
+        expected = f"at most {int(MOST_TICKS / physics_hz)} s at {physics_hz:.6g} ticks per second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 

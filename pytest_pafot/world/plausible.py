@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from pytest_pafot.model.trace import named
 
-# The largest change of a speed [m/s^2], three times that of the hardest braking.
+# The largest change of a speed [m/s^2], three times the hardest braking of a car.
 CHANGE = 30.0
 # The distance by which a vehicle may exceed the path that its speeds allow in a tick [m].
 SLACK = 0.5
-# Additional change of a speed in a tick [m/s]. It makes half a metre in the longest tick of a world, 0.2 s.
+# An additional change of a speed in a tick [m/s]. In the longest possible tick, 0.2 s, it amounts to half a metre.
 SPEED_SLACK = 2.5
 # A vehicle that reports more than 2 m/s for 0.5 s must move by more than 0.1 m; at 2 m/s it would move 1 m.
 STILL, MOVING, SHIFT = 0.5, 2.0, 0.1
@@ -20,25 +20,25 @@ STILL, MOVING, SHIFT = 0.5, 2.0, 0.1
 class Implausible(Exception):  # noqa: N818  (it ends a run, and is no error of the package)
     """An impossible motion of a vehicle in a simulator or environment of the user.
 
-    The run ends with the tick before and is invalid.
+    The run ends at the previous tick and is invalid.
     """
 
 
 class Plausibility:
-    """A check of the states to which a user's code has moved the vehicles of a run."""
+    """A check that a user's code moves the vehicles of a run as vehicles can move."""
 
     def __init__(self, states: Sequence[Sequence[float]], dt: float) -> None:
         self._dt, self._change = dt, CHANGE * dt + SPEED_SLACK
         self._slack = SLACK + CHANGE * dt * dt / 2
         self._before = self._states = states
         self._tick = 0
-        self._seen = [(x, y, 0) for x, y, *_ in self._states]  # where each vehicle was when it last moved or stood
+        self._seen = [(x, y, 0) for x, y, *_ in self._states]  # when and where each vehicle last moved or was slow
         # An impossible change of speed in the last tick. User's code may stop vehicles suddenly in a collision, which
         # ends the run in that tick. So it is only an error in the next tick.
         self.doubt = ""
 
     def check(self, states: Sequence[Sequence[float]], method: str, accelerations: Sequence[float] = ()) -> None:
-        """Check the states after the next tick, which ``method`` of the user has set.
+        """Check the states after the next tick, which the user's ``method`` has set.
 
         Raises:
             Implausible: for the first vehicle with an impossible motion.
@@ -51,7 +51,8 @@ class Plausibility:
         for number, ((x, y, _, speed), (old_x, old_y, _, old)) in enumerate(zip(states, self._states, strict=True)):
             moved = math.hypot(x - old_x, y - old_y)
             if not moved <= abs(old) * dt + slack:
-                # It may move by the new speed, if that is no jump, or slide on as before, if speeds are along headings.
+                # It can move as far as the new speed allows, if that is no jump. It can also slide as far as before, if
+                # its speed is only the part along its heading.
                 most = max(abs(old), min(abs(speed), abs(old) + change)) * dt
                 x_before, y_before, *_ = self._before[number]
                 if not moved <= max(most, math.hypot(old_x - x_before, old_y - y_before)) + slack:

@@ -3,9 +3,9 @@
 It decides at every physics tick, keeps its lane and knows only the observation. It is ``careful-human``, the competent
 and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series: annex 3).
 
-The regulation's model only reacts to danger. In ordinary traffic, the regulation requires a distance (5.2.3.3), for
-which the driver keeps a headway of two seconds by gentle braking. At junctions, which the model does not cover, the
-driver waits for each vehicle that would arrive after it by less than the critical headway of the Highway Capacity
+The regulation's model only reacts to danger. In ordinary traffic, the regulation requires a following distance
+(5.2.3.3), so the driver brakes gently to keep a headway of two seconds. At junctions, which the model does not cover,
+the driver waits for each vehicle that would arrive after it by less than the critical headway of the Highway Capacity
 Manual (two-way stop, two-lane major road).
 """
 
@@ -26,9 +26,9 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
-# [m/s^2]
+# Standard gravity [m/s^2].
 GRAVITY = 9.81
-# From the perception of a risk until the brakes act (UN R157) [s].
+# The time from the perception of a risk until the brakes act (UN R157) [s].
 DELAY = 0.75
 # A risk must last this long to be perceived (UN R157) [s].
 PERCEPTION = 0.4
@@ -42,9 +42,9 @@ HARD_BRAKING = 0.774 * GRAVITY
 # The time in which hard braking builds up (UN R157) [s].
 BUILD_UP = 0.6
 
-# To the vehicle ahead [s].
+# The time gap to the vehicle ahead [s].
 HEADWAY = 2.0
-# To a stationary vehicle ahead [m].
+# The distance to a stationary vehicle ahead [m].
 STANDSTILL_GAP = 3.0
 # The hardest braking that drivers call comfortable (Mattas et al., Accident Analysis and Prevention 148, 2020) [m/s^2].
 GENTLE_BRAKING = 4.0
@@ -67,7 +67,7 @@ LINE = 1.0
 STOPPING = 2.0
 # Predictions of arrivals at a zone assume at least this speed, because a slow or stationary vehicle may set off [m/s].
 CREEPING = 2.0
-# A vehicle that has been slower than this speed [m/s] for this time [s] is assumed to let others go first.
+# A vehicle that has been slower than this speed [m/s] for this time [s] is assumed to let other vehicles go first.
 STANDING, PATIENCE = 0.3, 2.0
 # The smallest time from a vehicle's exit out of a zone to the driver's entry [s].
 CLEAR = 0.5
@@ -84,7 +84,7 @@ WATCHED = 6.0
 class Leader(NamedTuple):
     """A vehicle ahead of the ego."""
 
-    # A named tuple, because it is created faster than a dataclass, and there are some in each tick.
+    # A named tuple, because several are created in each tick, and a dataclass would be slower.
     gap: float  # between the two boxes along the road [m], negative if they overlap
     speed: float  # along the road [m/s]
     closing: float  # the ego's speed minus the vehicle's speed [m/s]
@@ -92,7 +92,7 @@ class Leader(NamedTuple):
 
     @property
     def time_to_collision(self) -> float:
-        """The time to collision at constant speeds [s]; infinite if the gap does not shrink."""
+        """The time to collision at constant speeds [s], or infinity if the gap does not shrink."""
         return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
 
     @property
@@ -107,7 +107,7 @@ class Leader(NamedTuple):
 class ReferenceDriver(ABC):
     """The base class of reference drivers, which keep their lane and react to the vehicles ahead."""
 
-    # [m/s^2]
+    # The hardest braking [m/s^2].
     HARDEST = HARD_BRAKING
     # The jerk with which braking builds up [m/s^3].
     JERK = HARD_BRAKING / BUILD_UP
@@ -115,7 +115,7 @@ class ReferenceDriver(ABC):
     # The time of the observation, and the time since the previous one [s].
     now: float = 0.0
     step: float = 0.0
-    # For each condition that is true now, the time since when it has been true [s].
+    # For each condition that is true now, the time at which it became true [s].
     since: dict[str, float] = field(default_factory=dict)
     # The lane that the driver keeps, and the desired speed [m/s].
     lane: int = 0
@@ -125,7 +125,7 @@ class ReferenceDriver(ABC):
     # Speed [m/s] and half of the length [m] of the ego along the road.
     own_speed: float = 0.0
     own_half: float = 0.0
-    # Of the other vehicles: speeds along the road [m/s], decelerations [m/s^2], y [m], and speeds to the right [m/s].
+    # The other vehicles' speeds along the road [m/s], decelerations [m/s^2], y [m] and speeds to the right [m/s].
     speeds: tuple[float, ...] = ()
     brakings: tuple[float, ...] = ()
     places: tuple[float, ...] = ()
@@ -149,18 +149,18 @@ class ReferenceDriver(ABC):
         self.speeds, self.places = speeds, places
         lowest = self.acceleration - self.JERK * self.step
         wish = min(self.wish(observation), self.at_junction(observation))
-        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
+        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)  # brakes are released immediately
         steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
-        """Observe another driver of the ego; adopt its lane and its highest speed so far."""
+        """Adopt the lane and the highest speed so far of the driver that now controls the ego."""
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     def at_junction(self, observation: Observation) -> float:
-        """Return the highest acceleration that vehicles on other paths allow [m/s^2]; infinite if there are none."""
+        """Return the highest acceleration that vehicles on other paths allow [m/s^2], or infinity without these."""
         if not observation.crossing:
             return math.inf
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
@@ -173,7 +173,7 @@ class ReferenceDriver(ABC):
         return min(wishes, default=math.inf)
 
     def before_zone(self, observation: Observation, other: CrossingVehicle, waits: bool) -> float:
-        """Return the highest acceleration before the zone of one vehicle, for which the driver may wait [m/s^2]."""
+        """Return the highest acceleration that one vehicle on another path allows [m/s^2]."""
         ego = observation.ego
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
@@ -190,7 +190,7 @@ class ReferenceDriver(ABC):
         return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether the driver waits before a zone, for a vehicle to pass or for room behind the zone."""
+        """Return whether the driver waits before a zone until a vehicle has passed or there is room behind it."""
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
@@ -218,7 +218,7 @@ class ReferenceDriver(ABC):
         """Return the acceleration that the driver wants now [m/s^2]."""
 
     def held(self, condition: str, holds: bool) -> float:
-        """Return how long a condition has been true without a break [s]; minus infinity if it is false."""
+        """Return how long a condition has been true without a break [s], or minus infinity if it is false."""
         if not holds:
             self.since.pop(condition, None)
             return -math.inf
@@ -299,7 +299,7 @@ class CarefulHuman(ReferenceDriver):
 class RecordedBody(Body):
     """The ego of a recorded run, which repeats the recorded states up to a tick and then obeys its controls.
 
-    With states, all kinds of policies repeat to the last bit; with decisions, only planners would.
+    States repeat the runs of all kinds of policies to the last bit. Decisions would only repeat those of planners.
     """
 
     def __init__(self, trace: Trace, tick: int) -> None:
@@ -330,7 +330,7 @@ class Relief:
         return 0.0, 0.0
 
 
-# By name, the factories of drivers that can be the policy of a search, and take over during a run.
+# The factories of drivers that can be the policy of a search or take over during a run, by name.
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CAREFUL: CarefulHuman})
 
 
@@ -339,10 +339,10 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
 
     ``drift`` is the vehicle's speed to the right [m/s].
     """
-    # In the ego's way: the boxes overlap across the road. Otherwise, the vehicle must have left the centre of its lane
-    # and move towards the ego. One that has mattered before still does while it pauses over the line.
-    if _apart(ego, other) <= 0:
+    if _apart(ego, other) <= 0:  # the boxes overlap across the road
         return True
+    # Otherwise, the vehicle must have left the centre of its lane and move towards the ego. If it has mattered before,
+    # it still does while it pauses over the line.
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
     if other.lane == ego.lane:  # Its centre is over the line, and its box, if it is narrow, not yet in the ego's way.

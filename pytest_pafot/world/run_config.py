@@ -1,4 +1,4 @@
-"""The settings that all runs of a world share, checks of scenarios, and starts of all vehicles."""
+"""The rules that all runs of a world share, with checks of scenarios and the starts of vehicles."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Rules:
     # The wall-clock time after which a decision is interrupted [s].
     hang_limit: float
     ego: VehicleType = CAR
-    # The duration of each run [s]; None if the scenario and `duration` decide.
+    # The duration of each run [s], or None if the scenario and `duration` determine it.
     lasts: float | None = None
     # Fixed objects: x [m], y [m], heading [rad], length and width [m].
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
@@ -82,14 +82,14 @@ class Rules:
         return min(scenario.ego_speed, self.ego.top_speed)
 
     def start_distance(self, scenario: Scenario, ego_length: float) -> float:
-        # Between the centres of the ego and of cars that start ahead of or behind it [m].
+        # The distance between the centres of the ego and of cars that start ahead of or behind it [m].
         return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
     def start_cells(self, scenario: Scenario, ego_length: float) -> frozenset[Cell]:
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
-        """Return the director of the NPCs for one run around an ego of the given length [m]."""
+        """Return the director that moves the NPCs in one run, around an ego of the given length [m]."""
         return self.road.director(
             scenario,
             self.limits,
@@ -153,13 +153,13 @@ class Rules:
         road, speed = self.road, scenario.ego_speed
         x, y, _ = road.position(self.ego_start, scenario.ego_lane)
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
-        expected = f"no fixed object at {where}"
+        expected = f"a lane without a fixed object at {where}"
         if road.prescribed is None:
-            expected = f"no fixed object from {where} to {self.headway:g} s ahead of it at {speed:g} m/s"
+            expected = f"a lane without fixed objects from {where} to {self.headway:g} s ahead at {speed:g} m/s"
             others = [lane for lane in road.start_lanes if lane != scenario.ego_lane]
             free = [lane for lane in others if self._at_start(lane, speed) is None]
-        received = f"lane {scenario.ego_lane}, in which an object is at ({near[0]:.1f}, {near[1]:.1f}) m"
-        fix = f"write ego_lane={free[0]}" if free else "put the environment's objects elsewhere"
+        received = f"lane {scenario.ego_lane}, which has an object at ({near[0]:.1f}, {near[1]:.1f}) m"
+        fix = f"write ego_lane={free[0]}" if free else "move the environment's objects"
         raise ScenarioError(field="ego_lane", expected=expected, received=received, fix=fix)
 
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
@@ -183,7 +183,7 @@ class Rules:
             "the zone"
         )
         received = (
-            f"{instruction.slot:g} s, so that the NPC would start at {crossings.start(instruction):.0f} m of its path"
+            f"{instruction.slot:g} s, with which the NPC starts at {crossings.start(instruction):.0f} m of its path"
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
@@ -192,7 +192,7 @@ class Rules:
         top = self.limits.top_speed(limit)
         if scenario.ego_speed > top:
             reached = math.floor(100 * top) / 100
-            expected = f"at most {reached:.2f} m/s, the NPCs' top speed, because all start at the ego's speed"
+            expected = f"at most {reached:.2f} m/s, the NPCs' top speed, because NPCs start at the ego's speed"
             raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
@@ -221,7 +221,7 @@ def starts_of(
     for cell, kind in zip(director.first_cells(), around, strict=True):
         lane, far = scenario.ego_lane + cell.column, apart + (kind.length - CAR.length) / 2
         if kind.length > CAR.length and not road.has_lane(lane, start + cell.row * far):
-            far = apart  # where the lane ends, a car has room to start
+            far = apart  # here, where the lane ends, there is only room for a car
         along, wanted = start + cell.row * far, min(rules.ego_speed(scenario), kind.top_speed)
         pose, speed = road.position(along, lane, kind), road.start_speed(wanted, lane, along, kind)
         starts.append((along, (*pose, speed)))

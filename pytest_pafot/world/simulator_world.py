@@ -62,12 +62,12 @@ if TYPE_CHECKING:
         "ego": VehicleType | VehicleName, "hang_limit": float,
     }, total=False)  # fmt: skip
 
-# If a simulator states none [m].
+# The lane width if a simulator states none [m].
 LANE_WIDTH = 4.0
 MOST_LANES = 12
 # The smallest length of a road [m].
 LEAST_LENGTH = 100.0
-# A straight road must be long enough for this time at top speed [s]. If it is too short for `duration`, runs end there.
+# A straight road must be long enough for this time at top speed [s]. If it is too short for `duration`, runs end early.
 LEAST_RUN = 20.0
 # The length of road behind the ego's start if a simulator does not state where it starts [m].
 ROOM_BEHIND = 150.0
@@ -89,22 +89,22 @@ OTHER_NAMES = {
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatorWorld(BaseWorld):
-    """A world in which the user's simulator moves all vehicles; see :class:`pytest_pafot.Simulator`.
+    """A world in which the user's simulator, a :class:`pytest_pafot.Simulator`, moves all vehicles.
 
     The ADS is a planner, as in :class:`pytest_pafot.Highway`: a callable from :class:`pytest_pafot.Observation` to
-    ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`. If the simulator is ``native``, it is a
-    callable from what the simulator observes to an action of the simulator.
+    ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.LaneCommand`. If the simulator is ``native``,
+    the ADS is a callable from the simulator's observations to its actions.
 
     Attributes:
         simulator: class of the simulator, or a function without parameters that creates one.
         ads_hz: decisions of the policy per second: the ticks per second divided by a whole number. The default is 5, or
             the next higher possible value.
         duration: longest duration of a run [s].
-        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. A method of the
-            simulator may take ten times ``hang_limit``, but at least a minute.
+        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. The time limit of the
+            simulator's methods is ten times ``hang_limit``, but at least a minute.
 
     Raises:
-        WorldError: if a value cannot be used. The simulator itself is made and checked at the first use.
+        WorldError: if a value cannot be used. The simulator is made and checked when it is first used.
     """
 
     simulator: Callable[[], Simulator] = field(kw_only=False)
@@ -130,7 +130,7 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def simulators(self) -> Simulators:
-        """The simulators of this world in this process. Runs take one and give it back."""
+        """The simulators of this world in this process. A run takes one, and gives it back at its end."""
         return Simulators(self.simulator)
 
     @cached_property
@@ -145,7 +145,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def physics_hz(self) -> float:
-        """The simulator's ticks per second; an int if it is whole."""
+        """The simulator's ticks per second, as an int if the number is whole."""
         return self._stated.hz
 
     @property
@@ -173,9 +173,9 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """The packages that the simulator's class names; none if a function makes the simulator."""
+        """The packages that the simulator's class names, or none if a function makes the simulator."""
         maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
-        return getattr(maker, "packages", ())  # without a simulator, which is made where its errors are reported
+        return getattr(maker, "packages", ())  # of the class, because making a simulator may fail
 
     @property
     def speed_limit(self) -> float:
@@ -249,7 +249,7 @@ class SimulatorWorld(BaseWorld):
             if abs(hz / self.ads_hz - every) > 1e-3 * every:
                 expected = f"{self._stated.name}'s {hz:.6g} ticks per second divided by a whole number"
                 near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
-                fix = f"the nearest: {' and '.join(f'{hz / each:.6g}' for each in sorted(near))}"
+                fix = f"use {' or '.join(f'{hz / each:.6g}' for each in sorted(near))}"
                 raise WorldError(field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix)
         ads_hz = whole_if_possible(hz / every)
         check_ticks(duration, hz)
@@ -259,7 +259,7 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        # The places of objects are those of their centres, whatever those of vehicles are.
+        # The position of an object is always that of its centre, regardless of the reference for vehicles.
         frame, found = Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin), []
         for x, y, heading, length, width in self._stated.obstacles:
             # With a length of 0, the point of reference is the centre.
@@ -279,7 +279,7 @@ class SimulatorWorld(BaseWorld):
         asked, name = super().first_decision(scenario), self.maker.__name__
         if asked is None or not self.is_native:
             return asked
-        advice = f"This is what {name}.observe returns, because native is True; without it, {name} is for planners."
+        advice = f"{name}.observe returned this input, because native is True. Without native, {name} is for planners."
         return replace(asked, advice=advice)
 
     replays_in_gym = False
@@ -315,12 +315,12 @@ class SimulatorWorld(BaseWorld):
             return self._planned(self.rules, scenario, given, decisions, is_native=self.is_native)
 
     def _no_planner(self, given: Any) -> AdsFactoryError:
-        takes = f"what {self.maker.__name__}.observe returns to an action"
+        takes = f"the return value of {self.maker.__name__}.observe to an action"
         if not self.is_native:
             takes = "a pafot.Observation to (acceleration, steering)"
         return AdsFactoryError(
-            f"ads: expected a planner, a callable from {takes}, in a simulator "
-            f"of your own, received {given!r:.200}; use pafot.Highway for a vehicle class of highway-env, and "
+            f"ads: expected a callable from {takes} in a pafot.SimulatorWorld, "
+            f"received {given!r:.200}; use pafot.Highway for a vehicle class of highway-env, or "
             "pafot.World for a planner that simulates"
         )
 
@@ -335,7 +335,7 @@ class SimulatorWorld(BaseWorld):
         is_native: bool = False,
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
-        stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
+        stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         if is_native:
             driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
@@ -348,7 +348,7 @@ class SimulatorWorld(BaseWorld):
                 body.repeats = planner_driver(vehicles, ads, guard, None, body.actions, rules=own)
         try:
             with guard:
-                # The simulator starts with the vehicles. From then on, its states replace those of each tick.
+                # The simulator starts with these vehicles. Its states then replace the model's states in each tick.
                 simulation = Simulation(self.simulators, self._on_road.frame, vehicles, scenario.seed, guard)
                 vehicles.loop.simulation = simulation
         except BaseException:
@@ -363,7 +363,7 @@ class SimulatorWorld(BaseWorld):
 
     def to_dict(self) -> dict[str, Any]:
         """Return data for a corpus file, with the data of the simulator's ``to_dict`` as ``simulator``."""
-        # The first three values are for the reader, and to notice a change of the simulator.
+        # The lanes, the speed limit and the ticks are for the reader, and show whether the simulator has changed.
         own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
         own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
         own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
@@ -385,13 +385,13 @@ class SimulatorWorld(BaseWorld):
         now = world.to_dict()
         for name in stated:
             if now[name] != own[name]:
-                field, expected = f"world.data.{name}", f"{now[name]!r:.200}, as it is now"
+                field, expected = f"world.data.{name}", f"{now[name]!r:.200}, as in the simulator"
                 raise WorldError(field=field, expected=expected, received=f"{own[name]!r:.200}")
         return world
 
 
 class _OnRoad(NamedTuple):
-    """A road, the axes of the simulator on it, the longest run [s], and highway-env's network if the road is curved."""
+    """A road, the simulator's frame on it, the longest run [s], and highway-env's network if the road is curved."""
 
     road: Road
     frame: Frame
@@ -401,7 +401,7 @@ class _OnRoad(NamedTuple):
 
 @dataclass(slots=True)
 class _Stated:
-    """The checked attributes of a simulator. All but units and axes are in SI units and the axes of a run."""
+    """The checked attributes of a simulator, in SI units and the axes of a run, except for the units and axes."""
 
     maker: type[Simulator]
     metres: float
@@ -437,8 +437,8 @@ def _check_statements(simulator: Any) -> _Stated:
         WorldError: for a value that cannot be used. The message names the attribute.
     """
     if not isinstance(simulator, Simulator):
-        expected = "that it creates a pafot.Simulator"
-        raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
+        expected, received = "a callable that creates a pafot.Simulator", f"one that returned {simulator!r:.200}"
+        raise WorldError(field="simulator", expected=expected, received=received)
     name = type(simulator).__name__
     _check_names(type(simulator))
     # Units first, because the limits of other values depend on them.
@@ -453,7 +453,7 @@ def _check_statements(simulator: Any) -> _Stated:
 
     def in_si(field: str, low: float, high: float, unit: str) -> float | None:
         value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
-        why = f", as {name}.{unit} is {of:.6g}"
+        why = f", because {name}.{unit} is {of:.6g}"
         return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
 
     def several(field: str, of: str) -> Sequence[Any]:
@@ -476,20 +476,20 @@ def _check_statements(simulator: Any) -> _Stated:
         raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
     if offset is not None:
         offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " [m]")
-    for each in several("packages", "names of packages"):
+    for each in several("packages", "package names"):
         if not isinstance(each, str):
-            raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")
-    # What a file contains must be JSON-compatible.
+            raise WorldError(field=f"{name}.packages", expected="package names, as strings", received=f"{each!r:.100}")
+    # The data of a file must be JSON-compatible.
     data = plain_data(f"{name}.to_dict()", simulator.to_dict())
     if not isinstance(data, dict):
-        expected = "the arguments of the class by name"
+        expected = "a dict with the arguments of the class"
         raise WorldError(field=f"{name}.to_dict()", expected=expected, received=f"{data!r:.100}")
     try:
         check_plain(f"{name}.to_dict()", data)
     except ValueError as error:
         raise WorldError(str(error)) from None
     if is_on("native") and type(simulator).observe is Simulator.observe:
-        fix = "let it return the input of the policy"
+        fix = "write one that returns the input of the policy"
         raise WorldError(field=f"{name}.observe", expected="a method, because native is True", received="none", fix=fix)
     found = _Stated(
         maker=type(simulator),
@@ -512,7 +512,7 @@ def _check_statements(simulator: Any) -> _Stated:
         obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
         data=data,
     )
-    # A number of lanes, or their centre lines.
+    # The number of lanes, or their centre lines.
     if isinstance(simulator.lanes, Real):
         found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
     else:
@@ -533,7 +533,7 @@ def _hz(simulator: Simulator, name: str) -> float:
         dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, ", in seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
-        fix = "set only one of them; if dt is your own attribute, call it _dt"
+        fix = "set only dt or hz; if dt is your own attribute, call it _dt"
         raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
     return whole_if_possible(hz)
 
@@ -544,7 +544,7 @@ def _check_names(cls: type[Simulator]) -> None:
     stated = [
         name
         for each in classes
-        if issubclass(each, Simulator)  # attributes of others, such as a mixin of a library, state nothing here
+        if issubclass(each, Simulator)  # attributes of other classes, such as a mixin, may have any name
         for name, value in vars(each).items()
         if not name.startswith("_")
         and not hasattr(Simulator, name)
@@ -558,7 +558,7 @@ def _check_names(cls: type[Simulator]) -> None:
         )
         try:
             sources = {inspect.getsource(sys.modules[each.__module__]) for each in classes} if near else set()
-        except (OSError, TypeError):  # typed in, or compiled
+        except (OSError, TypeError):  # typed interactively, or compiled
             continue
         if near and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1:
             raise WorldError(
@@ -575,7 +575,7 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     except (TypeError, ValueError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        expected = "x and y of two points or more, in the direction of driving"
+        expected = "at least two points (x, y) in the direction of driving"
         raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
     line = np.array([frame.point(x, y) for x, y in points.tolist()])
     steps = np.hypot(*np.diff(line, axis=0).T)

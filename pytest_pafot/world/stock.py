@@ -1,6 +1,6 @@
 """The parts of highway-env that the package uses, imported without matplotlib and pandas.
 
-These two take three times as long to import as the rest of highway-env, and most runs never use them.
+These two libraries take three times as long to import as the rest of highway-env, and most runs never use them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class _Later(ModuleType):
 
 @contextmanager
 def _later() -> Iterator[None]:
-    """Replace each import of matplotlib or pandas in the context by a placeholder that imports it at its first use."""
+    """Replace imports of matplotlib and pandas in a ``with`` block by placeholders that import them at first use."""
     pyplot = _Later("matplotlib.pyplot")
     libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
     absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}
@@ -50,12 +50,13 @@ with _later():
     from highway_env.road.regulation import RegulatedRoad
     from highway_env.road.road import Road, RoadNetwork
     from highway_env.utils import class_from_path, not_zero, wrap_to_pi
+    from highway_env.vehicle.behavior import IDMVehicle
     from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
     from highway_env.vehicle.kinematics import Vehicle
-    from highway_env.vehicle.objects import RoadObject
+    from highway_env.vehicle.objects import Landmark, RoadObject
 
 __all__ = [
-    "AbstractEnv", "AbstractLane", "CircularLane", "ControlledVehicle", "ExitEnv", "IntersectionEnv", "MDPVehicle",
-    "RegulatedRoad", "Road", "RoadNetwork", "RoadObject", "SineLane", "StraightLane", "Vehicle", "action",
-    "class_from_path", "not_zero", "observation", "wrap_to_pi",
+    "AbstractEnv", "AbstractLane", "CircularLane", "ControlledVehicle", "ExitEnv", "IDMVehicle", "IntersectionEnv",
+    "Landmark", "MDPVehicle", "RegulatedRoad", "Road", "RoadNetwork", "RoadObject", "SineLane", "StraightLane",
+    "Vehicle", "action", "class_from_path", "not_zero", "observation", "wrap_to_pi",
 ]  # fmt: skip

@@ -34,7 +34,7 @@ def who(trace):
 def test_lane_change_leaves_the_room_of_the_page():
     """At the tick over the line, and when the tracks meet: by the formula of the page alone, from the trace."""
     page = (Path(__file__).parents[2] / "docs/explanation/verdicts.md").read_text(encoding="utf-8")
-    formula = re.search(r"Room:\*\* a gap of `(.*)` \(", page)[1].replace("·", "*").replace("²", "**2")
+    formula = re.search(r"\|room\|`g≥(.*)` \(", page)[1].replace("·", "*").replace("²", "**2")
     rng, found = np.random.default_rng(6), []
     for _ in range(40):
         faster = rng.uniform(3, 12)

@@ -42,7 +42,7 @@ def test_where_the_other_comes_from_tells_the_mistake(origin):
 
 
 def test_reason_says_who_entered_when_and_who_had_priority():
-    told = "The ego entered the crossing at 6.0 s, NPC 0 from the left at 6.3 s. NPC 0 had priority."
+    told = "The ego entered the crossing at 6.0 s, and NPC 0 from the left at 6.3 s. NPC 0 had priority."
     assert rss_rule(ignored()).sentences[0] == told
 
 

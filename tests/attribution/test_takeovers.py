@@ -30,7 +30,7 @@ def crash(ticks=IMPACT):
     return trace_of(ego, npc, outcome=Outcome.COLLISION)
 
 
-def taken(trace, ticks=IMPACT + AFTER + 2, hit=None, outcome=Outcome.SAFE, **at):
+def taken(trace, ticks=IMPACT + AFTER + 2, hit=None, outcome=Outcome.COMPLETED, **at):
     """Return a run that begins like another one and lasts for some ticks, to a contact if there is one."""
     states = np.concatenate([trace.states, np.repeat(trace.states[-1:], max(ticks - trace.ticks, 0), axis=0)])
     collision = None if hit is None else collision_at(hit, **at)
@@ -108,7 +108,7 @@ def test_an_unknown_end_leaves_a_later_number_and_forbids_to_say_that_none_avoid
         )
 
 
-@table("more", [{"outcome": Outcome.SAFE, "collision": None}, {"collision": collision_at(60, npc=None)}])
+@table("more", [{"outcome": Outcome.COMPLETED, "collision": None}, {"collision": collision_at(60, npc=None)}])
 def test_without_a_collision_with_a_vehicle_nothing_is_driven(more):
     assert latest(replace(crash(), **more), Drives(lambda *_: pytest.fail("driven"))) is None
 
@@ -155,7 +155,7 @@ def test_careful_human_keeps_braking_for_a_motorcycle_that_is_over_the_line_and_
     """Its centre is nearer than half a lane, and its box is narrow."""
     chain = [PositionInstruction(cell, speed) for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))]
     scenario = Scenario(npcs=[chain], gene_seconds=4.0, vehicles=("motorcycle",))
-    assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.SAFE
+    assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.COMPLETED
 
 
 TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in group}

@@ -34,11 +34,11 @@ from matplotlib.figure import Figure
 
 import pytest_pafot as pafot
 from pytest_pafot import Run, Scenario
-from pytest_pafot.campaign.events import SearchStarted
-from pytest_pafot.campaign.harness import judge
+from pytest_pafot.algorithms import PafotSearch
+from pytest_pafot.algorithms.evaluation import Evaluated
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
-from pytest_pafot.searching import PafotSearch
-from pytest_pafot.searching.evaluation import Evaluated
+from pytest_pafot.searches.events import SearchStarted
+from pytest_pafot.searches.harness import judge
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
@@ -123,7 +123,7 @@ def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Sea
 
     with suppress(EndedError):
         pafot.explore(
-            planted.make(), holds=holds, world=world, runs=runs, seed=seed, blame="ego", shrink_rollouts=0,
+            planted.make(), holds=holds, world=world, runs=runs, seed=seed, blame="ego", shrink_runs=0,
             on_event=listen, **ARMS[arm],
         )  # fmt: skip
     return Searched(policy, arm, seed, found, count, simulated, spent, shared)

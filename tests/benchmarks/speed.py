@@ -158,7 +158,7 @@ def search(rounds: int) -> None:
     }
     for (ego, ads), (arm, more) in product((("constant speed", idle), ("IDM+MOBIL", IDMVehicle)), arms.items()):
         road, started = TimedHighway(), time.process_time()
-        told = {"holds": holds, "world": road, "runs": 800, "shrink_rollouts": 0, "blame": "ego", **more}
+        told = {"holds": holds, "world": road, "runs": 800, "shrink_runs": 0, "blame": "ego", **more}
         for seed in range(rounds):
             explore(ads, seed=seed, **told)
         total, rollouts, runs = time.process_time() - started, sum(road.spent), len(road.spent)

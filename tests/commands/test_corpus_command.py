@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
-    assert "corpus: expected a folder that exists, received" in capsys.readouterr().err
+    assert "corpus: expected an existing folder, received" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch):
@@ -43,7 +43,7 @@ def test_current_folder_that_was_removed_is_reported(tmp_path, monkeypatch, caps
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     assert main(["corpus", "list"]) == 2
-    assert "corpus: expected a current folder that exists, received No such file" in capsys.readouterr().err
+    assert "corpus: expected an existing current folder, received No such file" in capsys.readouterr().err
 
 
 def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
@@ -58,7 +58,7 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
             patch.setattr(sys, "stdout", full)
             assert main(["corpus", "list", str(folder)]) == 2
         assert capsys.readouterr().err == (
-            "corpus: expected a standard output that can be written, received No space left on device; "
+            "corpus: expected a writable standard output, received No space left on device; "
             "free some space on the disk, or redirect it\n"
         )
 
@@ -95,7 +95,7 @@ def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
     assert accept("a-111111") == 1
     assert capsys.readouterr().err == (
         "corpus: a-111111: expected a writable file, received No space left on device; "
-        "free some space on the disk, then accept it again\n"
+        "free some space on the disk, then run the command again\n"
     )
     assert file.read_bytes() == before
     assert list(file.parent.iterdir()) == sorted(file.parent.glob("*.pafot.yaml"))

@@ -18,7 +18,7 @@ from pytest_pafot.report.terminal import annotation_lines
 from tests.findings.builders import plain_finding, sighting
 from tests.report.builders import session_of
 
-AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
+AHEAD = {"outcome": Outcome.COMPLETED, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
 
 
 @pytest.fixture(autouse=True)

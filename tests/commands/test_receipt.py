@@ -69,7 +69,7 @@ def outside_of_ci(monkeypatch):
     monkeypatch.delenv("CI", raising=False)
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
-    set_keys(monkeypatch, shrink_rollouts=0)
+    set_keys(monkeypatch, shrink_runs=0)
 
 
 def test_the_end_of_an_isolated_process_is_a_finding_of_a_search(tmp_path):
@@ -97,7 +97,7 @@ def test_an_ending_after_the_verdict_is_no_success(tmp_path):
 
 def test_assertions_that_are_off_are_refused(tmp_path):
     code, told = ended(tmp_path, f"{SEARCH} --check planner:check", options=["-O"])
-    assert (code, "check: expected a Python that runs assertions" in told) == (2, True), told
+    assert (code, "check: expected a function whose assertions run" in told) == (2, True), told
 
 
 def test_a_search_that_comes_to_its_end_keeps_its_code(tmp_path):

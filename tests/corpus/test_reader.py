@@ -207,14 +207,14 @@ XFAIL = "# xfail: {reason, until}"
 
 @table(("content", "told"), [
     (swapped(XFAIL, "xfail: {reason: slow, until: 2027-02-30}"),
-     ":16: xfail.until: expected a day of the calendar, as year-month-day, received '2027-02-30'; "
-     "write it as 2027-01-31"),
+     ":16: xfail.until: expected a date that exists, as year-month-day, received '2027-02-30'; "
+     "write a date such as 2027-01-31"),
     (swapped(XFAIL, "xfail: {reason: slow, untill: 2027-01-31}"),  # the key is named before its date
      ":16: xfail.untill: expected one of reason, until (format 3), received 'untill'; did you mean 'until'?"),
     (swapped(XFAIL, "zzz: 1"), "flaky, xfail (format 3), received 'zzz'"),
     (TEXT.replace("found: ", "# ").replace("        versions", "# versions"),
      "expected the key 'found', received only pafot, scenario, expect, test, world"),
-    ("pafot: 4\nnew_things: []\n", "received 4; install the pytest-pafot that wrote it"),  # before what else is new
+    ("pafot: 4\nnew_things: []\n", "received 4; install the version of pytest-pafot that wrote it"),  # first
     (swapped("seed: 7", "seed: 7\n  traffic: null"),
      "scenario.traffic: expected one of paper, hostile, assertive, everyday, received None"),
     ("pafot: 1\ntest: *a\n", "'a'"),  # an alias
@@ -253,7 +253,7 @@ def test_what_is_no_plain_document_is_refused(path, content, line, expected):
 
 
 @table(("value", "expected"), [
-    ("&a 1", "plain values"),
+    ("&a 1", "values without aliases and anchors"),
     ("!!str 1", "values without tags"),
     ("!!python/object/apply:os.system ['true']", "values without tags"),
 ])  # fmt: skip
@@ -266,7 +266,7 @@ def test_billion_laughs_file_is_refused_without_expansion(path):
     laughs = ["a0: &a0 [lol]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
     text, errors = "pafot: 1\n" + "\n".join(laughs), []
     assert calls_in(lambda: errors.append(fault(path, text))) < 10_000
-    assert errors[0].expected == "plain values"
+    assert errors[0].expected == "values without aliases and anchors"
 
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])

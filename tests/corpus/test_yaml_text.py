@@ -86,7 +86,12 @@ def test_ads_traceback_is_written_as_literal_block():
 
 def test_failed_property_without_collision_names_its_worst_moment():
     expect = Expect(
-        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, time=31.2, npc=1, cell=Cell.LEFT
+        failure="AssertionError",
+        assertion="run.min_ttc > N",
+        outcome=Outcome.COMPLETED,
+        time=31.2,
+        npc=1,
+        cell=Cell.LEFT,
     )
     assert (
         "expect: {failure: AssertionError, assertion: run.min_ttc > N, outcome: safe, time: 31.2, npc: 1, cell: left,\n"
@@ -138,5 +143,7 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
 
 @pytest.mark.parametrize("content", [b"<OpenSCENARIO/>", b"", b"x" * 300_000, b"a: 1"])
 def test_file_of_another_tool_is_not_said_to_be_broken(content):
-    with pytest.raises(CorpusError, match=r"a file of a different kind; give a file that ends in \.pafot\.yaml"):
+    with pytest.raises(
+        CorpusError, match=r"a file of a different kind; give a file whose name ends with \.pafot\.yaml"
+    ):
         parse(Path("run.xosc"), content)

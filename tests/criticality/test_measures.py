@@ -237,11 +237,11 @@ class TestRss:
 
     @table("field", ["least_braking", "hardest_braking", "lateral_braking"])
     def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
-        with pytest.raises(ValueError, match=f"{field}: expected a finite number, greater than 0, but received 0"):
+        with pytest.raises(ValueError, match=f"{field}: expected a finite number greater than 0, but received 0"):
             RssRules(**{field: 0})
 
     def test_rules_refuse_negative_times(self):
-        with pytest.raises(ValueError, match="ego_response: expected a finite number, at least 0, but received -1"):
+        with pytest.raises(ValueError, match="ego_response: expected a finite number of at least 0, but received -1"):
             RssRules(ego_response=-1)
 
 

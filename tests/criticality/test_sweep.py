@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
+from pytest_pafot.algorithms import SearchSpace, sample
 from pytest_pafot.criticality import gap, min_ttc, sweep, ttc
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS, safety_shortfall
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
-from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 

@@ -153,7 +153,7 @@ BRAKES_AHEAD = Scenario(npcs=(chain((Cell.FRONT, 10.0), (Cell.FRONT, 10.0)),), g
 @pytest.mark.parametrize("name", mostly_oracle(defects.POLICIES, "healthy", "sees-cut-ins-late", "brakes-for-ghosts"))
 def test_in_benign_traffic_nobody_collides(name, scenario):
     trace = ROAD.rollout(scenario, defects.make(name))
-    assert trace.outcome is Outcome.SAFE, trace.error
+    assert trace.outcome is Outcome.COMPLETED, trace.error
     assert trace.duration == 20.0
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import (
     Moment,
     deciding,
@@ -21,6 +20,7 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
 )
 from pytest_pafot.findings.finding import Bounded, Expect
+from pytest_pafot.searches.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.world.driving.policy import Aside, Question, beside, changed, without
 from pytest_pafot.world.engines.simulation import OwnUnits
 from pytest_pafot.world.kernel.action import checked_si_action
@@ -61,8 +61,8 @@ def asked(factory, trace, npc=None, question=None, world=WORLD, check=SI):
     (KEEPS, None, True),
     (np.array([0.5]), np.array([0.54]), False),
     (np.array([0.5]), np.array([0.6]), True),
-    (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=1, speed=2.19), False),
-    (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=0, speed=2.0), True),
+    (pafot.LaneCommand(lane=1, speed=2.0), pafot.LaneCommand(lane=1, speed=2.19), False),
+    (pafot.LaneCommand(lane=1, speed=2.0), pafot.LaneCommand(lane=0, speed=2.0), True),
 ])  # fmt: skip
 def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     assert differ(action, other) is differ(other, action) is expected
@@ -100,12 +100,13 @@ def test_actions_of_a_simulator_are_told_and_compared_by_their_parts(action, tex
 @pytest.mark.parametrize(("action", "other", "text"), [
     ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
     ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
-    (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
+    (pafot.LaneCommand(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
     (3, 1, "3"),
-    (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
-    (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
-    (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
-    (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), "lateral jerk 3.0 m/s^3"),
+    (pafot.LaneCommand(lane=0, speed=5.0), pafot.LaneCommand(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
+    (pafot.LaneCommand(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
+    (pafot.LaneCommand(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
+    (pafot.LaneCommand(lane=0, speed=5.0), pafot.LaneCommand(lane=0, speed=5.0, lateral_jerk=2.0),
+     "lateral jerk 3.0 m/s^3"),
     (np.array([0.5]), np.array([0.1]), "[0.5]"),
     (None, KEEPS, "no decision"),
 ])  # fmt: skip
@@ -141,13 +142,13 @@ def test_a_moment_is_told_in_one_line():
     probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
     other = "with NPC 0 2 m nearer acceleration -4.0 m/s^2"
     assert probed.brief == f"{start}; {other}."
-    hidden = "with NPC 0 hidden the same"
+    hidden = "with NPC 0 hidden, it chose the same"
     assert sorted(str(probed).removesuffix(".").split("; ")) == sorted([start, hidden, other])
     none = replace(moment, otherwise="")
-    assert (str(none), none.brief) == (f"{start}; no change of NPC 0 that was tried has an effect.", f"{start}.")
+    assert (str(none), none.brief) == (f"{start}; no change of NPC 0 that was tried had an effect.", f"{start}.")
     other = Moment(time=3.0, npc=None, action="1", reference="0")
     assert str(other) == other.brief
-    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, the reference 0\.", other.brief)
+    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, and the reference 0\.", other.brief)
 
 
 def test_conditions_are_listed_below_whom_they_are_about():
@@ -266,9 +267,9 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
 def test_a_change_is_told_only_if_a_car_drives_otherwise_by_one_unit(far, near, is_told):
     def ads(seen):
         gap = min((each.x - seen.ego.x for each in seen.others if each.x > seen.ego.x), default=99.0)
-        return pafot.Drive(lane=1, acceleration=near if gap < 25.0 else far)
+        return pafot.LaneCommand(lane=1, acceleration=near if gap < 25.0 else far)
 
-    trace = WORLD.rollout(SCENARIO, lambda: lambda seen: pafot.Drive(lane=1, acceleration=far))
+    trace = WORLD.rollout(SCENARIO, lambda: lambda seen: pafot.LaneCommand(lane=1, acceleration=far))
     number = 5
     moment = moment_at(number, lambda: ads, trace)
     assert bool(moment.otherwise) is is_told
@@ -410,7 +411,7 @@ def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too(
 
 def to_lanes(*plan):
     """Return a planner that answers lanes, each from a time on."""
-    return lambda: lambda seen: pafot.Drive(lane=lane_at(seen.time, plan), acceleration=0.0)
+    return lambda: lambda seen: pafot.LaneCommand(lane=lane_at(seen.time, plan), acceleration=0.0)
 
 
 def steering(most):

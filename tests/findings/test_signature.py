@@ -69,7 +69,7 @@ def test_other_collisions_are_identified_by_side_and_cell():
 def test_assertion_without_collision_is_identified_by_its_text():
     failure = Failure(kind="AssertionError", assertion="assert run.min_ttc > 1.0")
     expected = Signature(
-        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, responsibility="none"
+        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.COMPLETED, responsibility="none"
     )
     assert of_failure(Run(approaching()), failure) == of_failure(crash(), failure) == expected
 
@@ -180,7 +180,7 @@ def slug(assertion="", kind="AssertionError", run=None):
 
 def test_a_slug_names_the_subject_of_another_assertion():
     assert slug("assert run.min_ttc > 1.0") == "min-ttc"
-    for outcome in (Outcome.SAFE, Outcome.OFF_ROAD):
+    for outcome in (Outcome.COMPLETED, Outcome.OFF_ROAD):
         assert slug("assert not run.off_road", run=Run(approaching(outcome=outcome))) == "off-road"
 
 

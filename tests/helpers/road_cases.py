@@ -11,8 +11,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
+from pytest_pafot.algorithms.space import space_on
 from pytest_pafot.model.trace import ALONG, HEADING, SPEED, X, Y
-from pytest_pafot.searching.space import space_on
 from tests.helpers.world_cases import beyond, bounds_of_motion, own_limits, wrapped
 
 

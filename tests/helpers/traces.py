@@ -46,7 +46,7 @@ def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ti
     return np.stack(np.broadcast_arrays(*np.atleast_1d(x, y, heading, speed, acceleration, 0.0, lanes)), axis=-1)
 
 
-def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.SAFE, physics_hz=15, lanes=None, **fields):
+def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.COMPLETED, physics_hz=15, lanes=None, **fields):
     """Return a trace of vehicles from :func:`vehicle`; with the outcome ``collision``, NPC 0 is hit by default."""
     rows = max(len(states) for states in (ego, *npcs))
     states = np.stack([np.broadcast_to(states, (rows, 7)) for states in (ego, *npcs)], axis=1)

@@ -68,10 +68,10 @@ ROUTES: Mapping[str, str] = {
 """The options of each route's session; the last one replays what the first one saves."""
 ALWAYS = (
     "-p", "pytest_pafot.plugin", "-p", "no:cacheprovider", "--pafot-seed=2",
-    "--pafot-runs=8", "--pafot-shrink-rollouts=6",
+    "--pafot-runs=8", "--pafot-shrink-runs=6",
 )  # fmt: skip
 ROOMS = (
-    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world",
+    "attribution", "searches", "corpus", "execution", "findings", "oracle", "plugin", "report", "algorithms", "world",
 )  # fmt: skip
 """The rooms whose modules a session imports."""
 

@@ -145,7 +145,7 @@ class TestScenarios:
         assert scenario.crossings == (None, crosses(), None)
 
     @table(("npcs", "message"), [
-        ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
+        ([[crosses(), crosses()]], "npcs[0][1]: expected only one CrossingInstruction"),
         ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
         ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
         ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),

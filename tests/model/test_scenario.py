@@ -164,7 +164,7 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
 
 
 @table(("fields", "message"), [
-    ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
+    ({"npcs": []}, "npcs: expected 1 to 8 NPCs, at most one per cell, received 0"),
     ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
     ({"npcs": [[(2, 20.0)]]}, "a LaneInstruction or a CrossingInstruction, received (2, 20.0); write Position"),
     ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
@@ -200,7 +200,7 @@ def test_error_fields_are_readable_also_after_pickling():
 
 
 def test_two_npcs_in_one_cell_are_refused():
-    expected = "npcs[1][1]: expected a cell that no other NPC holds in gene 1, received cell 2 of npcs[0]"
+    expected = "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell 2 of npcs[0]"
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
 

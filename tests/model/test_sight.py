@@ -70,11 +70,11 @@ ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5, "speed": 1.0}, drop
 
 
 @table(("sight", "text"), [
-    (Sight(), "perfect sight"),
+    (Sight(), "perfect perception"),
     (Sight(latency=0.3), "0.3 s of latency"),
     (Sight(range=60.0, dropout=0.025), "a range of 60 m and 2.5 % dropout"),
     (Sight(noise={"speed": 1.0, "position": 0.0}), "noise of 1 m/s"),
-    (Sight(latency=0.0, noise={"speed": 0.0}), "perfect sight"),
+    (Sight(latency=0.0, noise={"speed": 0.0}), "perfect perception"),
     (ALL, "a range of 60 m, 0.3 s of latency, noise of 0.5 m and 1 m/s and 10 % dropout"),
 ])  # fmt: skip
 def test_sight_is_described_by_its_imperfections(sight, text):
@@ -89,12 +89,12 @@ def test_numbers_of_any_kind_become_pythons_own():
 
 
 @table(("values", "message"), [
-    ({"latency": -0.1}, r"^latency: expected a finite number from 0 \[s\], received -0.1$"),
+    ({"latency": -0.1}, r"^latency: expected a finite number of at least 0 \[s\], received -0.1$"),
     ({"latency": math.inf}, "latency: expected a finite number"),
     ({"range": -1.0}, r"range: .* \[m\]"),
     ({"noise": 0.5}, 'noise: expected a mapping of "position" .m. and "speed" .m/s., one of them or both'),
     ({"noise": {"heading": 0.1}}, "received {'heading': 0.1}"),
-    ({"noise": {"position": -0.5}}, r"noise.position: expected a finite number from 0 \[m\], received -0.5"),
+    ({"noise": {"position": -0.5}}, r"noise.position: expected a finite number of at least 0 \[m\], received -0.5"),
     ({"noise": {"speed": math.nan}}, "noise.speed"),
     ({"dropout": 1.1}, "dropout: expected a number from 0 to 1, received 1.1"),
 ])  # fmt: skip

@@ -16,7 +16,7 @@ from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 
 def made(states, sizes, **fields):
     scenario = scenario_of(1)
-    fields |= {"outcome": Outcome.SAFE, "lanes": straight_lanes(), "physics_hz": 15, "ads_hz": 5}
+    fields |= {"outcome": Outcome.COMPLETED, "lanes": straight_lanes(), "physics_hz": 15, "ads_hz": 5}
     return Trace(scenario=scenario, executed=scenario, states=states, sizes=sizes, **fields)
 
 

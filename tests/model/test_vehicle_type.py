@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pytest_pafot import PositionInstruction, Scenario, ScenarioError, VehicleType
+from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, PAPERS, STYLES, TRUCK, VAN
-from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import FieldError
 from pytest_pafot.world import NpcLimits
 from tests.helpers.tables import table

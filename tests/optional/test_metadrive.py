@@ -120,7 +120,7 @@ def test_vehicles_that_overlap_do_not_push_each_other():
 def test_ego_follows_a_curve_by_its_own_policy():
     world = pafot.metadrive("SSSCSS", observation="vehicle", start_speed=8.0, start_at=100.0, duration=30.0)
     trace = world.rollout(almost_alone(8.0, ego_lane=0, gene_seconds=30.0), idm)
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     turned = trace.states[-1, 0, 2] - trace.states[0, 0, 2]
     assert abs(turned) > math.radians(20)
 
@@ -155,7 +155,7 @@ def test_search_of_the_expert_finds_a_collision_that_a_careful_driver_avoids(tmp
     def holds(run):
         assert not run.collision, run.explain()
 
-    given = {"world": LIDAR, "blame": "ego", "npcs": 3, "corpus": tmp_path, "shrink_rollouts": 12}
+    given = {"world": LIDAR, "blame": "ego", "npcs": 3, "corpus": tmp_path, "shrink_runs": 12}
     found = pafot.explore(expert, holds=holds, runs=4, seed=6, **given)
     (finding,), (sighting,) = found.findings, found.sightings
     assert finding.expect.responsibility == "ego"

@@ -116,7 +116,7 @@ def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
 
 
 @table(("route", "message"), [
-    (["two", "none"], "edges for passenger cars, received 'none'; there are"),
+    (["two", "none"], "edges for passenger cars, received 'none'; use edges such as"),
     (None, "this network has more than one route, received None; write route="),
 ])  # fmt: skip
 def test_a_route_that_a_net_does_not_have_is_refused_by_its_edge(net, route, message):
@@ -142,7 +142,7 @@ def test_a_file_names_the_net_by_its_content(net):
     data = pafot.sumo(path, duration=30.0).to_dict()
     assert SimulatorWorld.of(Sumo, data).to_dict() == data
     path.write_text(BENT.replace('speed="20.0"', 'speed="19.0"'), encoding="utf-8")
-    with pytest.raises(WorldError, match=r"user.net.xml, unchanged, received another content"):
+    with pytest.raises(WorldError, match=r"user.net.xml as it was saved, received a changed file"):
         SimulatorWorld.of(Sumo, data)
 
 
@@ -153,8 +153,8 @@ def test_npcs_follow_a_bend_of_a_users_net(net):
     world = pafot.sumo(net(BENT), start_speed=15.0, duration=30.0)
     told = PositionInstruction(Cell.FRONT, 15.0)
     scenario = Scenario(npcs=((told,),), ego_lane=0, ego_speed=world.start[1], gene_seconds=30.0)
-    trace = world.rollout(scenario, lambda: lambda seen: pafot.Drive(lane=0, acceleration=0.0))
-    assert trace.outcome is Outcome.SAFE, trace.error
+    trace = world.rollout(scenario, lambda: lambda seen: pafot.LaneCommand(lane=0, acceleration=0.0))
+    assert trace.outcome is Outcome.COMPLETED, trace.error
     x, y = trace.states[:, 1, :2].T
     in_bend = (x > 420) & (y > -180)  # y grows to the right in a run
     assert in_bend.sum() > 100
@@ -190,17 +190,17 @@ class BrakesLate:
     def __call__(self, seen):
         ego = seen.ego
         gaps = [each.x - ego.x for each in seen.others if each.lane == ego.lane and each.x > ego.x]
-        return pafot.Drive(lane=ego.lane, acceleration=-3.0 if min(gaps, default=99.0) < 12.0 else 0.0)
+        return pafot.LaneCommand(lane=ego.lane, acceleration=-3.0 if min(gaps, default=99.0) < 12.0 else 0.0)
 
 
 class ChangesBlindly:
     def __call__(self, seen):
-        return pafot.Drive(lane=int(seen.time / 4) % 2, acceleration=0.0)
+        return pafot.LaneCommand(lane=int(seen.time / 4) % 2, acceleration=0.0)
 
 
 class Steady:
     def __call__(self, seen):
-        return pafot.Drive(lane=0, acceleration=0.0)
+        return pafot.LaneCommand(lane=0, acceleration=0.0)
 
 
 def never_collides(run):

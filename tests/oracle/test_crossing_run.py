@@ -134,7 +134,7 @@ def test_data_frame_has_signals_of_crossing_npcs():
 
 def test_run_that_left_route_is_described_with_crossing():
     trace = replace(junction_trace((CROSSES, 0.0)), outcome=Outcome.LEFT_ROUTE)
-    assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, when the ego left its route"
+    assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, after which the ego left its route"
 
 
 def test_collision_with_npc_merged_long_ago_has_cell():

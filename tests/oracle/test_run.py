@@ -108,7 +108,7 @@ def test_explanation_covers_event_fault_and_npc_instructions():
 
 
 @pytest.mark.parametrize(("speed", "is_told"), [(-3.2, True), (-0.3, False)])
-@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.SAFE])
+@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.COMPLETED])
 def test_an_ego_that_drives_backwards_is_told(speed, is_told, outcome):
     ego = vehicle(0.0, 4.0, speed=20.0, ticks=45)
     ego[30:, SPEED] = speed
@@ -128,7 +128,7 @@ def test_explanation_of_a_safe_run_names_worst_moment():
     assert lines[1] == "  smallest time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
 
 
-@pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.SAFE, Outcome.COLLISION, Outcome.ADS_ERROR))
+@pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.COMPLETED, Outcome.COLLISION, Outcome.ADS_ERROR))
 @given(
     npcs=st.integers(1, 8), genes=st.integers(1, 30), message=st.text(CHARACTERS, max_size=200), seed=st.integers(0, 99)
 )

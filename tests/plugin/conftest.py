@@ -13,11 +13,11 @@ import pytest
 
 import pytest_pafot
 import pytest_pafot.strategies
-from pytest_pafot.campaign import bench
-from pytest_pafot.campaign.refine import steps
 from pytest_pafot.execution.crash_records import CrashRecord, records_of
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searches import bench
+from pytest_pafot.searches.refine import steps
 from pytest_pafot.world import Highway
 from tests.helpers.sessions import (
     CORE,
@@ -244,7 +244,7 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
 
 def omit_slow_steps(monkeypatch):
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
-    set_keys(monkeypatch, shrink_rollouts=0)
+    set_keys(monkeypatch, shrink_runs=0)
 
 
 @pytest.fixture
@@ -262,7 +262,7 @@ def in_highway_env(project, monkeypatch):
 @pytest.fixture
 def shrinking(project, monkeypatch):
     """Let sessions shrink their findings, as users' sessions do."""
-    set_keys(monkeypatch, shrink_rollouts=None)
+    set_keys(monkeypatch, shrink_runs=None)
 
 
 FAILING = """

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.searches import saved_scenario
 from tests.helpers.tables import table
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
@@ -15,7 +15,7 @@ BREAKS = KEEPS.replace("(0.0, 0.0)", "(-1.0, 0.0)")
 TEST = """
 import planner
 
-@pafot.search(SHORT, ads=planner.make, shrink_rollouts=9MORE)  # stop_after=1
+@pafot.search(SHORT, ads=planner.make, shrink_runs=9MORE)  # stop_after=1
 def test_keeps_its_speed(run):
     assert run.ego.speed.max() < 22.5
     assert run.ego.speed.min() > 21.5
@@ -41,7 +41,7 @@ def test_regression_is_saved_with_its_passing_reference(changed):
     assert load(changed.only_file).expect.against == "planner_before:make"
     changed.result.stdout.fnmatch_lines(
         [
-            "The reference planner_before:make passes it.",
+            "The reference planner_before:make passes this scenario.",
             "compared with planner_before:make: 1 failure introduced, 0 fixed, 0 unchanged",
         ]
     )
@@ -113,7 +113,7 @@ def test_saved_scenario_label_compares_policy_and_reference(changed):
 
 CRASHES = """
 # stop_after=1
-@pafot.search(npcs=1, genes=2, gene_seconds=10, blame="ego", ads=planner.make, shrink_rollouts=0, vehicles="car")
+@pafot.search(npcs=1, genes=2, gene_seconds=10, blame="ego", ads=planner.make, shrink_runs=0, vehicles="car")
 def test_never_collides(run):
     assert not run.collision
 """
@@ -175,7 +175,7 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
         result.assert_outcomes(failed=1, skipped=1)
         shown = " ".join(result.stdout.str().split())
         assert "against (planner_before:make): the reference failed with TypeError: " in shown
-        assert "in this replay and in 10 random scenarios, so it never drives. Correct the reference, " in shown
+        assert "in this replay and in 10 random scenarios, so it cannot drive at all. Correct the reference, " in shown
     npcs = len(load(changed.only_file).scenario.npcs)
     raises = f"        assert len(observation.others) != {npcs}\n        return -1.0, 0.0"
     policies(changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n")

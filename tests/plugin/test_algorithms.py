@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from pytest_pafot.searching import resolve_algorithm
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
+from pytest_pafot.algorithms import resolve_algorithm
+from pytest_pafot.algorithms.catalogue import ALGORITHMS
 from tests.helpers.sessions import section
 
 TEST = "@pafot.search(SHORT, algorithm={!r})  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n"
@@ -13,7 +13,7 @@ TEST = "@pafot.search(SHORT, algorithm={!r})  # stop_after=1\ndef test_it(run):\
 
 def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway_env):
     project.write(TEST.format("random-manoeuvre"))
-    result = project.run("--pafot-shrink-rollouts=50", runs=24)
+    result = project.run("--pafot-shrink-runs=50", runs=24)
     result.assert_outcomes(failed=2)
     result.stdout.no_fnmatch_line("*flaky*")
     text = project.only_file.read_text()
@@ -56,7 +56,7 @@ def test_every_algorithm_searches_with_every_kind_it_supports(project):
 
 OWN = (
     "from dataclasses import dataclass\n"
-    "from pytest_pafot.searching import GenerationalSearch, GenerationState, sample\n\n"
+    "from pytest_pafot.algorithms import GenerationalSearch, GenerationState, sample\n\n"
     "@dataclass(frozen=True)\n"
     "class Own(GenerationalSearch):\n"
     "    name = 'own'\n"

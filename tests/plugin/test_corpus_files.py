@@ -98,6 +98,8 @@ def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     saved.pytester.makeconftest(CONFTEST + late)
     result = saved.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*run pytest again, since these failures were saved after*:", f"*runs like {id_}"])
+    result.stdout.fnmatch_lines(
+        ["*run pytest again, since these failures were saved after*:", f"*runs failed like {id_}"]
+    )
     saved.pytester.makeconftest(CONFTEST)
     saved.run().assert_outcomes(failed=1, passed=1)

@@ -89,7 +89,7 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
         [
             "*[[]search[]]: * of 4 runs failed.",
             "  crash-*: * run* (known).",
-            "*note: ran in separate processes, as with --pafot-isolate, because a process died in this search earlier*",
+            "*note: the ADS ran in separate processes (--pafot-isolate), because a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
         ]
     )
@@ -113,7 +113,7 @@ def test_search_runs_isolated_after_a_session_died(project):
     result = project.run("-p", "cacheprovider", apart=True)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines(
-        ["*found *saved-crash-*", "*note: ran in separate processes, as with --pafot-isolate, *"]
+        ["*found *saved-crash-*", "*note: the ADS ran in separate processes (--pafot-isolate), *"]
     )
 
 

@@ -105,7 +105,7 @@ def replay(project, policy, *args, runs=0, before="", **options):
 def test_slower_ego_with_the_same_mistake_still_fails(saved):
     result = replay(saved, "slow", "--pafot-json=session.json")
     result.assert_outcomes(failed=1, skipped=1)
-    told = "continued past the end of the file: the same mistake, collision at 6.5 s"
+    told = "after the end of the file, the same mistake occurs: collision at 6.5 s"
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     assert told in (saved.path / "session.json").read_text()
@@ -130,20 +130,18 @@ def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(saved,
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
     assert ("policies:fast, which fails" in result.stdout.str()) == bool(against)
-    told = (
-        "continued past the end of the file: the same NPC still collides with the ego (The ego hit NPC 0 from behind "
-    )
+    told = "after the end of the file, the same NPC still collides with the ego (The ego hit NPC 0 from behind "
     assert (label == "drifted") == (told in " ".join(result.stdout.str().split()))
 
 
 def test_other_failure_after_the_end_is_only_reported(saved):
     result = replay(saved, "raising")
     result.assert_outcomes(passed=1, skipped=1)
-    told = "continued past the end of the file: another failure, ads_error at 8.0 s"
+    told = "after the end of the file, another failure occurs: ads_error at 8.0 s"
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes", "  passes*: *", f"    {told}"])
 
 
-DIED = "continued past the end of the file, the process ended with exit code 9"
+DIED = "after the end of the file, the process ended with exit code 9"
 
 
 def test_death_after_the_end_is_only_reported(saved):
@@ -160,7 +158,7 @@ def test_death_after_the_end_ends_one_session_at_most(saved):
         result.assert_outcomes(passed=1, skipped=1)
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes", "  passes*: *", f"    {DIED}"])
     assert len(saved.records) == 1
-    replay(saved, "braking").stdout.no_fnmatch_line("*continued past the end of the file*")
+    replay(saved, "braking").stdout.no_fnmatch_line("*after the end of the file*")
     assert not saved.records
 
 
@@ -179,9 +177,7 @@ def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     for _ in range(2):
         result = replay(saved, "dying", before=before)
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes", "  passes*: *"])
-        told = (
-            "not continued past the end of the file, because a process died in it before, and this system cannot fork"
-        )
+        told = "not run after the end of the file, because a process died there before, and this system cannot fork"
         assert told in " ".join(result.stdout.str().split())
 
 
@@ -192,14 +188,17 @@ def test_death_after_the_end_of_a_crash_still_fails(project):
     result = replay(project, "dying")
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["Result of the replay: still failing: continued past the end of the file.", "*1 still failing"]
+        [
+            "Result of the replay: still failing: after the end of the file, the process ended with exit code 9.",
+            "*1 still failing",
+        ]
     )
 
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):
     result = replay(saved, "dicing")
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
-    told = "continued past the end of the file: the same mistake, collision at "
+    told = "after the end of the file, the same mistake occurs: collision at "
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
 
 
@@ -216,7 +215,7 @@ def test_check_that_fails_after_the_end_still_fails(project):
     broken = Check(name="speed", value=30.0, margin=-0.25, at_most=24.0, time=5.6)
     failure = Failure(kind="CheckFailed", message=str(broken), assertion="speed", check=broken)
     filed(project, failure=failure)
-    told = "*continued past the end of the file: the same failure, speed failed at *"
+    told = "*after the end of the file, the same failure occurs: speed failed at *"
     replay(project, "late").stdout.fnmatch_lines([told, "*1 still failing"])
     replay(project, "braking").stdout.fnmatch_lines(["*1 passes"])
 
@@ -234,7 +233,7 @@ def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
     filed(project, failure=failure)
     result = replay(project, "braking")
     result.stdout.fnmatch_lines(["*1 passes"])
-    result.stdout.no_fnmatch_line("*continued past the end of the file*")
+    result.stdout.no_fnmatch_line("*after the end of the file*")
     replay(project, "slow").assert_outcomes(failed=1, skipped=1)
 
 
@@ -242,7 +241,7 @@ def test_error_of_the_test_after_the_end_is_named(saved):
     body = "missing = {}['lane'] if run.duration > 10.0 else None\n    assert not run.collision"
     saved.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
     result = replay(saved, "braking")
-    told = "continued past the end of the file: another failure, KeyError: 'lane' (no collision in 16.0 s)"
+    told = "after the end of the file, another failure occurs: KeyError: 'lane' (no collision in 16.0 s)"
     result.stdout.fnmatch_lines(["*1 passes", "  passes*: *", f"    {told}"])
 
 
@@ -262,7 +261,7 @@ def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
 def test_reference_is_driven_on_as_well(saved, now, before, label, reference):
     result = replay(saved, now, f"--pafot-against=policies:{before}")
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
-    assert f"against policies:{before}, which {reference}" in " ".join(result.stdout.str().split())
+    assert f"compared with policies:{before}, which {reference}" in " ".join(result.stdout.str().split())
 
 
 def test_property_that_a_test_records_is_that_of_the_file(saved):

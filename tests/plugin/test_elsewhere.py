@@ -20,7 +20,7 @@ import policies
 def test_gap(run):
     assert not run.collision
 """
-SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts=0")
+SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-runs=0")
 
 
 def fixed(project, policy, **more):
@@ -49,7 +49,7 @@ def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
         [
             r"replayed 1 saved scenario: 1 passes \(not found again\)",
             r"  passes \(not found again\): .*",
-            r"    no such failure in \d+ random runs, so in .*",
+            r"    no such failure in \d+ random runs, so it occurs in .*",
         ]
     )
 

@@ -3,7 +3,7 @@
 SOURCE = """
 from example_ads import blind_lane_change, constant_speed
 
-ARGUMENTS = dict(blame="ego", genes=3, npcs=3, shrink_rollouts=10)
+ARGUMENTS = dict(blame="ego", genes=3, npcs=3, shrink_runs=10)
 
 def holds(run):
     assert not run.collision, run.explain()

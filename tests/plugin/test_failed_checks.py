@@ -49,7 +49,7 @@ def test_drives_well(run):
 def buggy(project, monkeypatch, shrinking):
     """Return a project whose planner has both bugs."""
     monkeypatch.setenv("COLUMNS", "80")
-    set_keys(monkeypatch, shrink_rollouts=20)
+    set_keys(monkeypatch, shrink_runs=20)
     project.pytester.makeconftest(BUGGY)
     project.write(PROPERTY)
     return project

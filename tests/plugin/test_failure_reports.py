@@ -100,7 +100,7 @@ def of_search(result, name):
 def test_each_kind_of_failure_has_a_short_block_line_and_summary(project, examined, monkeypatch, kind):
     monkeypatch.setenv("COLUMNS", "80")
     project.write(of_kinds(kind))
-    result = project.run_once("--pafot-shrink-rollouts=40", runs=40, seed=2)
+    result = project.run_once("--pafot-shrink-runs=40", runs=40, seed=2)
     name, (lines,) = f"test_it.py::test_{kind}[saved-{project.only_id}]", blocks(result)
     assert len(lines) <= 12
     assert lines[0].strip("_ ") == f"test_{kind}[saved-{project.only_id}]"

@@ -491,7 +491,7 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypa
     monkeypatch.setenv("CI", "true")
     result = replay(project, no_warning, "--pafot-allow-orphans")
     assert result.ret == 1
-    counted = "pytest did not collect 8 tests with a mark of pafot (CI is set): conftest.py::test_in_conftest, *"
+    counted = "pytest did not collect 8 tests with a pafot mark (CI is set): conftest.py::test_in_conftest, *"
     result.stdout.fnmatch_lines([counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"])
     assert replay(project, no_warning, "test_it.py::test_once").ret == 0  # a narrower choice
 

@@ -14,7 +14,7 @@ SOURCES = sorted(Path(pytest_pafot.plugin.__file__).parent.glob("*.py"))
 
 
 UNUSED = (
-    "campaign", "campaign.options", "corpus", "corpus.layout", "support", "support.errors",
+    "searches", "searches.options", "corpus", "corpus.layout", "support", "support.errors",
     "plugin", "plugin.collection", "plugin.session",
     "report", "report.session",
 )  # fmt: skip

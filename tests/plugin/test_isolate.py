@@ -59,7 +59,7 @@ def drive(observation):
 @pytest.fixture
 def isolated(project, monkeypatch):
     """Return a function that writes a project whose ADS has some source text."""
-    set_keys(monkeypatch, shrink_rollouts=20)  # none of these tests needs the default of 300
+    set_keys(monkeypatch, shrink_runs=20)  # none of these tests needs the default of 300
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
@@ -116,7 +116,7 @@ def test_ads_never_runs_in_the_session_process(isolated):
 
 def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
-    result = project.run("--pafot-isolate", "--pafot-shrink-rollouts=0", runs=12, apart=True)
+    result = project.run("--pafot-isolate", "--pafot-shrink-runs=0", runs=12, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
     assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
@@ -124,7 +124,7 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     result.stdout.fnmatch_lines(["*[[]search[]]: * of 12 r* failed*"])
     result.stdout.no_fnmatch_line("*ended early*")
     result.stdout.no_fnmatch_line("*did not finish*")
-    again = project.run("--pafot-isolate", "--pafot-shrink-rollouts=0", runs=12, apart=True)
+    again = project.run("--pafot-isolate", "--pafot-shrink-runs=0", runs=12, apart=True)
     again.stdout.re_match_lines([rf"  {crash.rpartition('/')[2][:-11]}: \d+ runs? \(known"])
     assert not project.records
 
@@ -134,7 +134,7 @@ def test_exception_of_another_process_is_not_retried_here(isolated):
     project = isolated("breaks", f"from pytest_pafot.execution import runner\n\n{more}")
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", runs=4)
     result.stdout.fnmatch_lines(
-        ["*TypeError: 'NoneType' object is not callable*", "*so the session does not try it again*"]
+        ["*TypeError: 'NoneType' object is not callable*", "*so the session does not run it again*"]
     )
     assert result.parseoutcomes()["passed"] == 1
     assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}

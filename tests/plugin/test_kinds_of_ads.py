@@ -26,7 +26,7 @@ VEHICLES = {
 def test_vehicle_class_works_in_search_and_replay(project, in_highway_env):
     for given, source in VEHICLES.items():
         project.write(textwrap.dedent(source), name=f"test_{given}")
-    result = project.run("--pafot-shrink-rollouts=5")
+    result = project.run("--pafot-shrink-runs=5")
     result.stdout.fnmatch_lines(["*: 1 new failure in 1 run: *"] * len(VEHICLES))
     assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
     assert "flaky" not in result.stdout.str()
@@ -42,7 +42,7 @@ def drive(observation):
         RAISE
     return 0.0, 0.0
 
-@pafot.search(SHORT, ads=lambda: drive, shrink_rollouts=0)
+@pafot.search(SHORT, ads=lambda: drive, shrink_runs=0)
 def test_drive(run):
     pass
 """

@@ -29,7 +29,7 @@ def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
 
 
 ONCE = ("pytest_benchmark", "pytest_codspeed", "syrupy")
-COLLECTS = "*received one with the fixture '*', which only collects failures*Write `assert ...`*"
+COLLECTS = "*received one with the fixture '*', which only collects failures*Use `assert`*"
 FIXTURES = {"subtests": COLLECTS, "indirectly": COLLECTS}
 FIXTURES |= {f"of_{package}": f"*received one with the fixture 'of_{package}'*{package}*" for package in ONCE}
 OF_PACKAGE = """
@@ -208,7 +208,7 @@ WRONG = [
     ),
     ("lanes=3", "*(lanes=...): expected an argument of a search*. Write world=pafot.Highway(lanes=...)*"),
     ("generations=0", "*(generations=0): expected at least 1, because 0 generations test nothing*"),
-    ("shrink_rollouts=-1", "*(shrink_rollouts=...): expected a whole number, at least 0, received -1*"),
+    ("shrink_runs=-1", "*(shrink_runs=...): expected a whole number, at least 0, received -1*"),
     ("algorithm='pytest:Nobody'", "*algorithm: expected a name in the module pytest, received 'pytest:Nobody'*"),
     ("algorithm='magic'", "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*"),
 ]
@@ -256,8 +256,8 @@ def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
     project.write("@pafot.search(ads='adss')\ndef test_drive(run):\n    pass\n")
     project.run().stdout.fnmatch_lines(
         [
-            "the fixture 'adss', which returns the ADS factory, was not found; did",
-            "  you mean 'ads'[?]",
+            "the fixture 'adss', which returns the factory of the policy, was not",
+            "  found; did you mean 'ads'[?]",
             "    def adss():",
             'Or name another fixture with @pafot.search(ads="..."), or pass a',
             "  factory: @pafot.search(ads=MyPlanner).",
@@ -348,7 +348,7 @@ class MuteAndExits(Exception):
         raise SystemExit(3)
 """
     test = """
-@pafot.search(SHORT, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_runs=0)
 def test_NUMBER(run):
     if run.scenario.npcs[0][0].speed < 15:
         raise RAISED

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from pytest_pafot.campaign.refine import steps
+from pytest_pafot.searches.refine import steps
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.driving.conditions import NOBODY
 
@@ -35,7 +35,7 @@ def test_an_examination_without_time_or_with_an_error_loses_no_finding(project, 
     result, record, contents = run(project)
     result.assert_outcomes(failed=2)
     assert (record["moment"], len(contents)) == (None, 1)
-    result.stdout.fnmatch_lines([f"*no decisions of saved-{record['id']}: {told}*"])
+    result.stdout.fnmatch_lines([f"*note: decisions of saved-{record['id']} not examined: {told}*"])
 
 
 HIDES = """
@@ -50,11 +50,11 @@ def test_collides(run):
 
 def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     project.write(HIDES.replace("ADS", "def make():\n    return lambda seen: 1"))
-    result, record, _ = run(project, "--pafot-shrink-rollouts=0")
+    result, record, _ = run(project, "--pafot-shrink-runs=0")
     moment = record["moment"]
     assert (moment["npc"], moment["action"], moment["hidden"], moment["otherwise"]) == (0, "1", "", None)
     result.stdout.re_match_lines([r"At \d+\.\d s the policy saw NPC 0 .*"])
-    apart = run(project, "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]
+    apart = run(project, "--pafot-shrink-runs=0", "--pafot-isolate")[1]
     assert apart["moment"] == moment
 
 
@@ -64,7 +64,7 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
 ], ids=["has the environment", "draws"])  # fmt: skip
 def test_nothing_is_said_of_a_policy_that_sees_more(project, ads):
     project.write(HIDES.replace("ADS", ads))
-    moment = run(project, "--pafot-shrink-rollouts=0")[1]["moment"]
+    moment = run(project, "--pafot-shrink-runs=0")[1]["moment"]
     assert (moment is None) == ("env" in ads)
 
 
@@ -82,7 +82,7 @@ def test_collides(run):
     result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
-    answers = r"the policy chose acceleration 0\.0 m/s\^2, the reference acceleration -6\.0 m/s\^2\."
+    answers = r"the policy chose acceleration 0\.0 m/s\^2, and the reference acceleration -6\.0 m/s\^2\."
     result.stdout.re_match_lines([rf"At \d+\.\d s, in the first decision that differs, {answers}"])
 
 
@@ -110,7 +110,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
         "        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5"
     )
-    options = ("--pafot-shrink-rollouts=0",)
+    options = ("--pafot-shrink-runs=0",)
     result, record, _ = run(project, *options, "--pafot-report=out.html", runs=80, seed=4)
     (told,) = record["moment"]["conditions"]
     whom, (row,) = told["about"], told["evaluated"]
@@ -130,13 +130,13 @@ def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_deci
 def moves_over(seen):
     lane = 1 if seen.time > 3.0 else 0
     slow = seen.ego.speed < 5.0
-    return pafot.Drive(lane=lane, acceleration=0.0 if slow else 0.1)
+    return pafot.LaneCommand(lane=lane, acceleration=0.0 if slow else 0.1)
 
 @pafot.search(npcs=2, genes=3, gene_seconds=3, ads=lambda: moves_over, vehicles="car", ego_lane=0)  # stop_after=1
 def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
 """)
-    moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", runs=200)[1]["moment"]
+    moment = run(project, "--pafot-shrink-runs=0", "--pafot-runs=400", runs=200)[1]["moment"]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
     (told,) = moment["conditions"]
     assert told["about"] == NOBODY
@@ -144,9 +144,9 @@ def test_never_moves_over_at_fault(run):
 
 
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.campaign.refine.moment.Conditions", lambda *_: Otherwise())
+    monkeypatch.setattr("pytest_pafot.searches.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
-    moment = run(project, "--pafot-shrink-rollouts=0", runs=80, seed=4)[1]["moment"]
+    moment = run(project, "--pafot-shrink-runs=0", runs=80, seed=4)[1]["moment"]
     assert moment["action"]
     assert moment["conditions"] == []
 

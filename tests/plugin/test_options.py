@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS, is_ci
-from pytest_pafot.campaign.request import SearchArguments, SpaceArguments
 from pytest_pafot.plugin.session import resolve
+from pytest_pafot.searches.options import OPTIONS, is_ci
+from pytest_pafot.searches.request import SearchArguments, SpaceArguments
 from pytest_pafot.support.errors import RequestError
 
 
@@ -97,7 +97,7 @@ def test_native_toml_takes_native_types(project):
 @pytest.mark.parametrize(("source", "place"), [
     ({"marker": {"generations": -1}},
      r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1"),
-    ({"marker": {"shrink_rollouts": -1}}, "at least 0, received -1"),
+    ({"marker": {"shrink_runs": -1}}, "at least 0, received -1"),
     ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
     ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
     ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
@@ -187,6 +187,6 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
 def test_no_search_because_of_a_setting_is_told(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
     project.pytester.makeini("[pytest]\npafot_generations = 0\n")
-    told = "  note: no search ran, because pafot_generations is 0 in the settings"
+    told = "  note: no search ran, because pafot_generations is 0 in the configuration file"
     assert told in project.run(runs=None).outlines
     assert told not in project.run(runs=0).outlines

@@ -3,20 +3,20 @@
 import pytest
 
 MANY = """
-@pafot.search(SHORT, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_runs=0)
 def test_many(run):
     pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 """
 
 ONE_SIGNATURE = """
-@pafot.search(SHORT, runs=1, shrink_rollouts=0)
+@pafot.search(SHORT, runs=1, shrink_runs=0)
 def test_one(run):
     assert run.scenario.id == ""
 """
 """A test file whose search of one run has one finding."""
 
 COUNTED = """
-@pafot.search(SHORT, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_runs=0)
 def test_counted(run):
     with open("runs.txt", "a") as file:
         file.write("run\\n")

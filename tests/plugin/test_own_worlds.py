@@ -18,7 +18,7 @@ def ads():
     npcs=1,
     ads=ads,
     world=pafot.World("highway-v0", duration=2.0, WRAPPERS),
-    shrink_rollouts=2,  # stop_after=1
+    shrink_runs=2,  # stop_after=1
 )
 def test_fails(run):
     assert set(seen) == {SHAPE}
@@ -55,7 +55,7 @@ class Ring(pafot.Simulator):
     def states(self):
         return self.cars
 
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=pafot.SimulatorWorld(Ring, duration=10.0), shrink_rollouts=0)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=pafot.SimulatorWorld(Ring, duration=10.0), shrink_runs=0)
 def test_fails(run):  # stop_after=1
     assert run.VERDICT
 """
@@ -133,7 +133,7 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
 def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
     result = saved_wrapped.run("--pafot-strict-drift", runs=0)
-    result.stdout.fnmatch_lines([f"*drifted: *world.wrappers [[]'FlattenObservation'] in the file, *{now}* now*"])
+    result.stdout.fnmatch_lines([f"*drifted: *world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"])
 
 
 def test_a_test_that_names_another_environment_is_refused(saved_wrapped):

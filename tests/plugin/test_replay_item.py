@@ -92,7 +92,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day has passed: correct *"
+OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day has passed. Correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
@@ -124,7 +124,7 @@ def test_passing_replay_under_other_versions_has_drifted(saved):
 
 def test_replay_without_incident_reports_how_long_it_lasted(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n")
-    project.run_once("--pafot-shrink-rollouts=0", runs=20)
+    project.run_once("--pafot-shrink-runs=0", runs=20)
     project.pytester.makeconftest(BRAKING)
     edited(project, "highway-env: ", "highway-env: 0.")
     result = project.run(runs=0)
@@ -144,7 +144,7 @@ def test_drive(run):
 def test_pass_without_its_situation_is_no_fix(project):
     project.write(CUT_IN)
     project.pytester.makepyfile(before="def make():\n    return lambda seen: (0.0, 0.0)\n")
-    project.run_once("--pafot-shrink-rollouts=0", runs=40)
+    project.run_once("--pafot-shrink-runs=0", runs=40)
     project.pytester.makeconftest(BRAKING)
     told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
     result = project.run(*told, "--pafot-against=before:make", runs=0)
@@ -164,7 +164,7 @@ def test_pass_without_its_situation_is_no_fix(project):
 
 def test_uneventful_runs_are_compared_by_most_critical_moment(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert run.collision\n")
-    project.run_once("--pafot-shrink-rollouts=0")
+    project.run_once("--pafot-shrink-runs=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
     result = project.run(runs=0)
@@ -183,7 +183,7 @@ def test_replay_whose_passing_run_is_cut_has_drifted(saved):
     saved.write(FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace("'x'", "'safe'"))
     result = saved.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration 10.0 in the file, 0.4 now*"])
+    result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration is 10.0 in the file, 0.4 now*"])
 
 
 def check_copies(project, edits):
@@ -259,7 +259,7 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
 
 
-OTHER_WORLD = "run in the world of the file, not of the test: world.lanes 4 in the file, 5 now"
+OTHER_WORLD = "run in the world of the file, not of the test: world.lanes is 4 in the file, 5 now"
 
 
 def test_replay_says_that_the_test_names_another_world(saved):
@@ -355,7 +355,7 @@ class Toy(pafot.Simulator):
     def states(self):
         return self.cars
 
-@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), world=pafot.SimulatorWorld(Toy), shrink_rollouts=0)
+@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), world=pafot.SimulatorWorld(Toy), shrink_runs=0)
 def test_drives(run):
     assert not run.collision
 """
@@ -367,7 +367,7 @@ def test_replay_in_which_a_simulator_lets_a_vehicle_jump_fails_even_if_its_failu
     monkeypatch.setenv("JUMPS_AT", "10000")
     project.run_once("--pafot-stop-after=1", runs=20)
     monkeypatch.setenv("JUMPS_AT", "20")
-    told = ["the replay cannot show whether the ADS drives well: Toy.states, tick 20: NPC 0 moved *"]
+    told = ["the replay cannot show whether the policy drives well: Toy.states, tick 20: NPC 0 moved *"]
     project.run(runs=0).stdout.fnmatch_lines(told)
     edited(project, "found: ", "xfail: {reason: known, until: 2999-12-31}\nfound: ")
     result = project.run(runs=0)

@@ -36,7 +36,7 @@ def read_page(path):
                 command=command and html.unescape(command[1]),
             )
         )
-    parts = re.findall(r'<article class="campaign".*?</article>', text, re.DOTALL)
+    parts = re.findall(r'<article class="searches".*?</article>', text, re.DOTALL)
     searches = [" ".join(html.unescape(re.sub("<[^>]*>", " ", part)).split()) for part in parts]
     return text, findings, searches
 
@@ -64,7 +64,7 @@ def test_the_page_has_the_find_and_its_search(failing, page):
 def test_page_counts_runs_of_new_and_known_findings(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     for label in ("new", "still failing"):
-        project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", runs=8)
+        project.run("--pafot-report=report.html", "--pafot-shrink-runs=0", runs=8)
         text, findings, (search,) = read_page(page)
         assert "Simplified" not in text
         assert {finding.label for finding in findings} == {label}
@@ -108,7 +108,7 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     assert "The session was interrupted. This report covers only what ran before." in text
 
 
-KEPT = "The property held in every evaluated run."
+KEPT = "The property held in all evaluated runs."
 NOT_KEPT = {
     "an ADS that fails at once": ("ads=lambda: lambda seen: None", "pass", "The search ended with an error."),
     "a property that is misspelt": ("", "assert run.collided", "Did you mean `run.collision`?"),
@@ -156,7 +156,7 @@ def test_page_without_findings_says_if_search_was_complete(project, page, body, 
 
 def test_known_failures_without_replay_prevent_claiming_success(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
-    project.run_once("--pafot-shrink-rollouts=0")
+    project.run_once("--pafot-shrink-runs=0")
     project.run("--pafot-report=report.html", "test_it.py::test_fails[search]")
     text = page.read_text(encoding="utf-8")
     assert "No new findings. Some runs failed" in text

@@ -15,7 +15,7 @@ forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked
 
 OWNER = "test_it.py::test_it"
 TEST = "@pafot.search(SHORT, ads=ADS)\ndef test_it(run):\n    pass\n"
-INNOCENT = "*note: a process (pid *) died while it ran <Scenario *>, which completed when it was repeated*"
+INNOCENT = "*note: a process (pid *) died while it ran <Scenario *>, but the scenario completed when it was repeated*"
 
 ELSEWHERE = """
 import os
@@ -140,7 +140,7 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
     result.assert_outcomes(failed=2)
     how = "ended with exit code 9" if "exit" in end else "was ended by SIGKILL"
     result.stdout.fnmatch_lines(
-        [f"*died while it ran this scenario, and the one that ran it again {how}: the likely cause*"]
+        [f"*died while it ran this scenario, and the process that ran it again {how}: the likely cause*"]
     )
     finding = load(project.only_file)
     assert finding.id.startswith("crash-")
@@ -164,7 +164,7 @@ def test_record_with_impossible_world_is_reported_only(project):
     result = replayed(project)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
-        ["*note: a process (pid *) died while it ran * in a world that cannot be made here now*"]
+        ["*note: a process (pid *) died while it ran * in a world that can no longer be built here*"]
     )
     assert (project.files, project.records) == ([], [])
 
@@ -175,4 +175,4 @@ def test_retry_uses_the_world_of_the_record(project):
     project.leave_behind(OWNER, world=Highway(duration=5.0).to_dict())
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     project.leave_behind(OWNER, world=Highway(duration=10.0).to_dict())
-    replayed(project).stdout.fnmatch_lines(["*the one that ran it again ended with exit code 9*"])
+    replayed(project).stdout.fnmatch_lines(["*the process that ran it again ended with exit code 9*"])

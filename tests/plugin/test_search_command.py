@@ -42,7 +42,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(subprocess, "Popen", Copy)
-    set_keys(monkeypatch, shrink_rollouts=0)
+    set_keys(monkeypatch, shrink_runs=0)
     return tmp_path
 
 
@@ -53,14 +53,14 @@ def python(*arguments):
 
 @pytest.mark.processes
 def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
-    set_keys(monkeypatch, shrink_rollouts=None)
+    set_keys(monkeypatch, shrink_runs=None)
     code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
     assert "leader-unanswered" in told
     assert (here / "pafot.html").exists()
     last = told.rstrip().splitlines()[-1]
     again = "search a_planner:Planner --runs 4 --seed 2 --write-test, and commit"
-    assert last.startswith(f"keep it as a test: python -m pytest_pafot {again}")
+    assert last.startswith(f"to keep this as a test, run python -m pytest_pafot {again}")
 
     assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
     assert {"a_planner.py", "test_safety.py"} <= {path.name for path in here.iterdir()}
@@ -167,7 +167,7 @@ pafot = TestCheck = test_ = test_no_crash
 ])  # fmt: skip
 def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
     (here / "odd.py").write_text(NAMES, encoding="utf-8")
-    given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-rollouts=0", "--", "-q"]
+    given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-runs=0", "--", "-q"]
     code, told = python("pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given)
     assert (code, "4 runs" in told, "(new" in told) == (1, True, True), told
     assert len([*(here / "pafot_found" / "test_safety").iterdir()]) == 1
@@ -227,7 +227,7 @@ def test_an_error_is_no_test_to_keep(here):
     code, told = python("pytest_pafot", "search", "a_planner:keeps_moving", "--runs", "1")
     assert code == 1
     assert "signature (run)" in told
-    assert "keep it as a test" not in told
+    assert "to keep this as a test" not in told
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
@@ -276,17 +276,17 @@ def test_session_of_a_search_that_is_killed_ends(here):
         os.kill(int(children[0]), signal.SIGKILL)
         _, error = search.communicate(timeout=60)  # It also waits for the session, which has the same output.
     assert search.returncode == 128 + signal.SIGKILL
-    assert "search: expected the process with the policy to finish the command, received an end by SIGKILL" in error
+    assert "search: expected the process with the policy to finish the command, received the signal SIGKILL" in error
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
     (["a_planner:Nobody"], "'a_planner:Nobody'. The module has Planner, make, idle, keeps_moving"),
     (["a_planner.py:Planner"], ". Write a_planner:Planner"),
-    (["broken:Planner"], "broken.py:1). Correct it"),
+    (["broken:Planner"], "broken.py:1). Correct the module"),
     (["a_planner:Planner", "--check", "foo"],
-     "search: --check: expected module:function for a function of a run"),
+     "search: --check: expected module:function, received"),
     (["a_planner:Planner", "--check", "a_planner:nothing"],
-     "search: --check: expected a function of a run in the module a_planner"),
+     "search: --check: expected a function that takes a run in the module a_planner"),
     (["a_planner:Planner", "--check", "my-planner:make"],
      "search: --check: expected names that `import` accepts, received 'my-planner' in my-planner:make"),
     (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),

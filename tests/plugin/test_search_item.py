@@ -41,19 +41,19 @@ def test_findings_are_told_at_once_in_a_line_each(project, monkeypatch, args):
         pytest.importorskip("xdist")
     monkeypatch.setenv("COLUMNS", "60")
     project.write(TWO_KINDS)
-    result = project.run_once(*args, "--pafot-shrink-rollouts=0", runs=40, seed=2)
+    result = project.run_once(*args, "--pafot-shrink-runs=0", runs=40, seed=2)
     names = [name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files]
     kinds = {"gap": "a failed check", "lea": "a collision", "cut": "a collision"}
     told = [f"pafot: found {kinds[id_[:3]]}: test_it.py::test_collides[saved-{id_}]" for id_ in names]
     assert sorted(announced(result)) == sorted(told)
     assert len(told) > 1
     project.forget()
-    assert announced(project.run_once("-q", "--pafot-shrink-rollouts=0", runs=40, seed=2)) == []
+    assert announced(project.run_once("-q", "--pafot-shrink-runs=0", runs=40, seed=2)) == []
 
 
 def test_block_on_a_collision_has_the_sentences_of_its_verdict(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
-    result = project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", runs=40, seed=2)
+    result = project.run_once("--pafot-shrink-runs=0", "--pafot-json=out.json", runs=40, seed=2)
     (its,) = json.loads((project.path / "out.json").read_text())["findings"]
     headline = f"{its['headline'].partition(';')[0]}."
     result.stdout.fnmatch_lines([headline, *its["sentences"], f"replay pytest {project.files[0]}"])
@@ -160,7 +160,7 @@ KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOU
 
 
 @pytest.mark.parametrize(("bound", "options"), [
-    ("> 0", []), ("< 1", ["--pafot-shrink-rollouts=0"]), ("> 0", ["--pafot-generations=3"]),
+    ("> 0", []), ("< 1", ["--pafot-shrink-runs=0"]), ("> 0", ["--pafot-generations=3"]),
     ("> 0", ["--pafot-max-time=0"]),
 ])  # fmt: skip
 def test_only_a_short_default_search_without_findings_is_called_short(project, bound, options):

@@ -15,7 +15,7 @@ from pytest_pafot.plugin.session import stale_day
 from tests.plugin.test_session_records import IS_CUT
 
 FAILS = """
-@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
+@pafot.search(SHORT, shrink_runs=0)  # stop_after=1
 def test_fails(run):
     assert run.duration < 1, "the text of the failure"
 """
@@ -36,10 +36,10 @@ PAGE = "problem: --pafot-report=x.html: not written: "
 
 
 @pytest.mark.parametrize(("function", "error", "expected"), [
-    ("plugin.reporter.unclaimed", ValueError, "problem: records of processes that died: ValueError: a fault"),
+    ("plugin.reporter.unclaimed", ValueError, "problem: the records of processes that died: ValueError: a fault"),
     ("report.page.render_page", ValueError, f"{PAGE}ValueError: a fault"),
     ("report.page.render_page", KeyboardInterrupt, f"{PAGE}KeyboardInterrupt: a fault"),
-    ("report.terminal.session_lines", ValueError, "summary of pytest-pafot: ValueError: a fault"),
+    ("report.terminal.session_lines", ValueError, "the summary of pytest-pafot: ValueError: a fault"),
 ], ids=["records", "report", "interrupt", "summary"])  # fmt: skip
 def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, error, expected):
     def fail(*arguments, **named):
@@ -60,7 +60,7 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)
-    assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
+    assert "problem: the report of the findings of test_it.py::test_fails[search]: ZeroDivisionError: " in text
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
@@ -96,7 +96,7 @@ def leak():
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("step", ["plugin.search_item.exception_for_pytest", "campaign.store.relative"])
+@pytest.mark.parametrize("step", ["plugin.search_item.exception_for_pytest", "searches.store.relative"])
 def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypatch, step, number):
     """The first step reports the finding to pytest, the second follows the writing of its file."""
     module, _, name = f"pytest_pafot.{step}".rpartition(".")
@@ -121,7 +121,7 @@ def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.campaign.bench.Bench.confirm", interrupted)
+    monkeypatch.setattr("pytest_pafot.searches.bench.Bench.confirm", interrupted)
     text = text_of(project.run(no_reraise_ctrlc=True))
     assert "AssertionError: the text of the failure" in text
     assert "During handling of the above exception" not in text
@@ -144,7 +144,7 @@ def test_no_session_on_ci_passes_without_its_searches(project, monkeypatch, ci, 
     project.write(EXITS)
     result = project.run("--pafot-json=x.json")
     assert (result.ret, json.loads((project.path / "x.json").read_text())["exit"]) == (code, code)
-    problem = "problem: 1 item did not finish, test_it.py::test_in_fixture[search] first"
+    problem = "problem: 1 item did not finish (first: test_it.py::test_in_fixture[search])"
     assert (problem in text_of(result)) is bool(code)
 
 
@@ -167,7 +167,7 @@ def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypa
     project.write(f"{EXITS}\n@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run(*arguments)
     assert result.ret == 2
-    assert "problem: 2 items did not finish, test_it.py::test_in_fixture[search] first" in text_of(result)
+    assert "problem: 2 items did not finish (first: test_it.py::test_in_fixture[search])" in text_of(result)
 
 
 ALWAYS = """
@@ -198,10 +198,10 @@ def pytest_runtest_logfinish():
 def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
     (project.path / "conftest.py").write_text(SWALLOWS)
     project.write(ALWAYS)
-    project.run("--pafot-shrink-rollouts=0").assert_outcomes(failed=2)
+    project.run("--pafot-shrink-runs=0").assert_outcomes(failed=2)
     result = project.run("--pafot-runs=0")
     result.assert_outcomes(failed=1, skipped=1)
-    assert "a hook pytest_runtest_makereport reported this failure as passed; use xfail" in text_of(result)
+    assert "a pytest_runtest_makereport hook reported this failure as passed. Use xfail" in text_of(result)
 
 
 @pytest.mark.parametrize(("ci", "code"), [("", 0), ("true", 1)])
@@ -209,9 +209,9 @@ def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monk
     monkeypatch.setenv("CI", ci)
     (project.path / "conftest.py").write_text(LEAVES)
     project.write(ALWAYS)
-    result = project.run("--pafot-shrink-rollouts=0")
+    result = project.run("--pafot-shrink-runs=0")
     assert result.ret == code
-    assert ("problem: 2 items failed, test_it.py::test_fails[s" in text_of(result)) is bool(code)
+    assert ("problem: 2 items failed (first: test_it.py::test_fails[s" in text_of(result)) is bool(code)
 
 
 def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, monkeypatch):
@@ -260,7 +260,7 @@ def test_it(run):
 def test_no_session_passes_that_a_policy_ends(project, changes, code):
     plain = {"imported": "", "daemon": True, "ends": "0.0, 0.0", "late": "pass", "runs": 1, "holds": "run"}
     project.write(EXITING.format(**{**plain, **changes}))
-    result = project.run("--pafot-shrink-rollouts=0", fresh=True)
+    result = project.run("--pafot-shrink-runs=0", fresh=True)
     assert result.ret == code
     assert ("Use --pafot-isolate to prevent that" in result.stdout.str()) is (code != 1)
 

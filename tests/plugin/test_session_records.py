@@ -98,7 +98,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day has passed: "
+    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day has passed. "
     assert warning.startswith(told)
 
 
@@ -177,7 +177,7 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
 
 def test_junit_names_all_findings_and_unreadable_files(project):
     project.write(SEVERAL_KINDS)
-    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0", runs=80)
+    project.run("--junitxml=junit.xml", "--pafot-shrink-runs=0", runs=80)
     search = properties(project)["test_fails[search]"]
     assert sorted(search["pafot_file"].split(", ")) == project.files
     assert len(project.files) == len(search["pafot_id"].split(", ")) == 3
@@ -202,7 +202,7 @@ def of_setup(record_property):
 def log(record_property):
     return lambda run: record_property("speed", round(float(run.ego.speed[-1]), 1))
 
-@pafot.search(SHORT, ads=ads, against=standing, world=pafot.Highway(duration=10), shrink_rollouts=10)
+@pafot.search(SHORT, ads=ads, against=standing, world=pafot.Highway(duration=10), shrink_runs=10)
 def test_it(run, record_property, record_testsuite_property, record_xml_attribute, log):
     record_property("requirement", "REQ-001")
     record_testsuite_property("suite", "S-1")

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_pafot.campaign.harness import SetupFaultError, cause_of
-from pytest_pafot.campaign.results import Counts, State
-from pytest_pafot.campaign.search import check_set_up
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.verdict import Failure, Verdict
+from pytest_pafot.searches.harness import SetupFaultError, cause_of
+from pytest_pafot.searches.results import Counts, State
+from pytest_pafot.searches.search import check_set_up
 from tests.helpers.sessions import section
 from tests.plugin.conftest import shows
 
@@ -77,7 +77,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
 
     def test_setup_error_leaves_earlier_scenarios_unchanged(self, project):
         project.write(misspelt().replace("not run.collided", "run.duration < 1"))
-        project.run("--pafot-shrink-rollouts=0", "--pafot-stop-after=1")
+        project.run("--pafot-shrink-runs=0", "--pafot-stop-after=1")
         contents = project.contents
         project.write(misspelt())
         project.run().assert_outcomes(failed=2)
@@ -89,7 +89,7 @@ class TestNothingThatWasFoundIsLost:
     SOME = """
     seen = {}
 
-    @pafot.search(SHORT, shrink_rollouts=0)
+    @pafot.search(SHORT, shrink_runs=0)
     def test_drive(run):
         if seen.setdefault(run.scenario.id, len(seen)) < 2:
             raise ValueError("lane")
@@ -123,7 +123,7 @@ class TestNothingThatWasFoundIsLost:
 
     def test_where_it_was_asserted_or_came_after_the_first_decision(self, project):
         raised = ["assert run.duration < 0", "raise AssertionError('late')", "pytest.fail('late')"]
-        test = "@pafot.search(SHORT, shrink_rollouts=0)\ndef test_drive(run):\n    {}\n"
+        test = "@pafot.search(SHORT, shrink_runs=0)\ndef test_drive(run):\n    {}\n"
         later = BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None")
         sources = [*map(test.format, raised), later]
         for n, source in enumerate(sources):
@@ -181,7 +181,7 @@ def test_drive_NUMBER(run):
 CONFIG = (
     "A policy needs the config= and the wrappers= with which it was trained. A planner in SI units needs pafot.Highway"
 )
-NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
+NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh ADS: `lambda: MyPlanner()`"
 
 PREDICT = (
     "It has a method 'predict'. Return a function that calls it with the observation, "
@@ -196,7 +196,7 @@ MESSAGES = {
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=keep": [
         "with the signature (observation) ",
-        "If keep is the ADS itself, write `lambda: keep`; if it makes one, `lambda: keep(...)`",
+        "If keep is the ADS itself, write `lambda: keep`; if it makes an ADS, `lambda: keep(...)`",
     ],
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "Write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
@@ -284,7 +284,7 @@ def test_first_generation_error_counts_only_judged_runs():
     bench = SimpleNamespace(run=lambda scenario: run, finish=lambda run: broken)
     cause, state = cause_of(run, broken), State(first=object())
     state.counts += Counts(kinds=Counter(npc=1, failed=2, invalid=1), causes=Counter({cause: 2}))
-    with pytest.raises(SetupFaultError, match="all 2 runs of the first generation with a verdict ended in"):
+    with pytest.raises(SetupFaultError, match="all 2 evaluated runs of the first generation ended in"):
         check_set_up(state, bench, " of the first generation")
 
 

@@ -7,17 +7,17 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-import pytest_pafot.campaign.refine.simplest
+import pytest_pafot.searches.refine.simplest
 import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them is slow
 from example_ads import constant_speed
-from pytest_pafot.campaign.refine import steps
-from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, described, sort_key
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searches.refine import steps
+from pytest_pafot.searches.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.support.text import capitalised
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
@@ -61,7 +61,7 @@ def run(project, *args, **kwargs):
 def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides):
     result = run(collides)
     result.assert_outcomes(failed=2)
-    result.stdout.no_fnmatch_line("*ended before*")
+    result.stdout.no_fnmatch_line("*before * simplified*")
     lines = result.stdout.str().splitlines()
     assert [line for line in lines if line.startswith("pafot: found ")] == [
         f"pafot: found a collision: test_it.py::test_collides[saved-{collides.only_id}]"
@@ -69,7 +69,7 @@ def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides
 
 
 def test_shrunk_file_retains_name_and_size_as_found(collides):
-    run(collides, "--pafot-shrink-rollouts=0")
+    run(collides, "--pafot-shrink-runs=0")
     as_found, name = load(collides.only_file), collides.only_file
     name.unlink()
     run(collides)
@@ -117,14 +117,14 @@ def test_interrupted(run):
 
 
 @pytest.mark.parametrize(("save", "how"), [
-    ("new", "delete its files and search again with --pafot-seed=2"), ("none", "search again with --pafot-seed=2"),
+    ("new", "delete the new files and search again with --pafot-seed=2"), ("none", "search again with --pafot-seed=2"),
 ])  # fmt: skip
 @pytest.mark.parametrize("limit", [2, 4])
 def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace("# stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
-    told = f"  note: ended before 1 new finding was simplified: {how}"
+    told = f"  note: the search ended before 1 new finding was simplified: {how}"
     result.stdout.fnmatch_lines(["pafot: found a failed *test_interrupted*", "  It ended early, *: interrupted.", told])
     result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
@@ -173,7 +173,7 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
     assert 0 < refining <= max(first, 300) + 300  # and what confirms the finding, before its simplification
     result.stdout.fnmatch_lines([note])
     assert session("--pafot-workers=2")[1:3] == (refining, files)
-    first, refining, other, note, result = session("--pafot-shrink-rollouts=300")
+    first, refining, other, note, result = session("--pafot-shrink-runs=300")
     assert refining > 2 * first
     assert other != files
     result.stdout.no_fnmatch_line(note)
@@ -182,7 +182,7 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     """From the second gene on, the ego would start in the outer lane, which has no room for six NPCs around it."""
     starts = ((1, 22.0), (0, 22.0), (0, 22.0))
-    monkeypatch.setattr(pytest_pafot.campaign.refine.simplest, "starts_of", lambda run, top_speed: starts)
+    monkeypatch.setattr(pytest_pafot.searches.refine.simplest, "starts_of", lambda run, top_speed: starts)
 
     def holds(run):
         assert len(run.scenario.npcs) < 6 or min(map(len, run.scenario.npcs)) < 2
@@ -195,7 +195,7 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
         genes=3,
         gene_seconds=2,
         runs=2,
-        shrink_rollouts=400,
+        shrink_runs=400,
         seed=1,
     )
     (finding,) = result.findings
@@ -203,7 +203,7 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
 
 
 def rollouts_without_an_option(ads):
-    request = SimpleNamespace(settings=SimpleNamespace(shrink_rollouts=None))
+    request = SimpleNamespace(settings=SimpleNamespace(shrink_runs=None))
     return rollouts_for(SimpleNamespace(request=request, world=Highway(), policy=Policy(ads)))
 
 
@@ -260,7 +260,7 @@ def drawing(env):
 
 WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
 
-@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_rollouts=0)  # stop_after=1
+@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_runs=0)  # stop_after=1
 def test_drives(run):
     assert run.ego.speed.mean() < 1
 """)

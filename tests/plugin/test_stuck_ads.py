@@ -57,7 +57,7 @@ def ads():
 """
 
 TESTS = """
-@pafot.search(SHORT, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_runs=0)
 def test_it(run):
     assert run.min_distance > 3, "what was found"
 
@@ -94,12 +94,12 @@ def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     assert found
     result.stdout.fnmatch_lines(
         [
-            "*test_it.py::test_it?search?: the ADS or its environment exceeded its time limit*",
+            "*test_it.py::test_it?search?: the policy or its environment exceeded the time limit*",
             "*in pause*",
             "*what was found*",
             "*did not finish; its findings so far are reported*",
             "FAILED test_it.py::test_it[[]search[]]*",
-            "*the ADS or its environment hangs in test_it.py::test_it?search?*",
+            "*the policy or its environment hangs in test_it.py::test_it?search?*",
         ]
     )
     text = (project.path / "junit.xml").read_text()

@@ -21,7 +21,7 @@ pytest.importorskip("xdist")
 
 @pytest.fixture(autouse=True)
 def short_shrinking(project, monkeypatch):
-    set_keys(monkeypatch, shrink_rollouts=60)  # none of these tests needs the default of 300
+    set_keys(monkeypatch, shrink_runs=60)  # none of these tests needs the default of 300
 
 
 def test_xdist_workers_give_same_results_as_one_process(project):
@@ -97,7 +97,7 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
     contents = []
     for hash_seed in ("0", "1"):
         monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
-        project.run("--pafot-shrink-rollouts=30", fresh=True)
+        project.run("--pafot-shrink-runs=30", fresh=True)
         contents.append(project.contents)
         project.forget()
     assert contents[0] == contents[1]
@@ -106,11 +106,11 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
 
 def test_two_simultaneous_sessions_write_one_file_per_finding(project):
     project.write(TWO)
-    result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-rollouts=0")
+    result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-runs=0")
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     names = [name.rpartition("/")[2] for name in project.files]
     project.forget()
-    project.run("--pafot-shrink-rollouts=0")
+    project.run("--pafot-shrink-runs=0")
     assert names == [name.rpartition("/")[2] for name in project.files]
 
 

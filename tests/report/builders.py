@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from highway_env.vehicle.controller import ControlledVehicle
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.verdict import Failure
@@ -18,6 +17,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import Shown, render_page
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.views import finding_view
+from pytest_pafot.searches.events import Ending, Search
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 

@@ -6,7 +6,6 @@ from datetime import date
 
 import pytest
 
-from pytest_pafot.campaign.events import Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.finding import Bounded
@@ -17,6 +16,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SURVIVES, Outcome
 from pytest_pafot.report.terminal import DRAWS, DRAWS_IN_WRAPPERS, ROOM, block_lines, found_line
+from pytest_pafot.searches.events import Search
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
@@ -103,8 +103,8 @@ def test_a_whole_block_has_all_that_is_known():
     more = {"finding": finding, "runs": 40, "label": "accepted", "detail": "x" * 100, "is_whole": True}
     text, lines = block(**more, beyond="crash", expect={"against": "idm"})
     for part in (
-        FACT, DEED, VERDICT, "with NPC 0 hidden the same", "line 7", "line 9", "x" * 100, "accepted",
-        "It was simplified from 2 NPCs", "The reference idm passes it.", "received `crash`",
+        FACT, DEED, VERDICT, "with NPC 0 hidden, it chose the same", "line 7", "line 9", "x" * 100, "accepted",
+        "It was simplified from 2 NPCs", "The reference idm passes this scenario.", "failure is `crash`",
         "no generator",
     ):  # fmt: skip
         assert part in text, part
@@ -120,14 +120,15 @@ def test_of_what_is_not_saved_the_block_has_the_file_and_no_command():
     asked, _ = block(path="", detail="--pafot-save=none", again="")
     assert "It is not saved: --pafot-save=none." in asked
     assert "The file would be" not in asked
-    assert "Its file: no room." in block(detail="no room")[0]
+    assert "The saved file could not be updated: no room." in block(detail="could not be updated: no room")[0]
 
 
 def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
     accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
     text, lines = block(finding=accepted, label="still failing", beyond="NPC 1 hit the ego from behind")
-    told = "It is not accepted: the line `xfail:` of corpus/a.pafot.yaml accepts "
-    assert f"{told}`The ego's front hit NPC 0 after 12.4 s`, but received `NPC 1 hit the ego from behind`. " in text
+    told = "The failure is not accepted: the line `xfail:` of corpus/a.pafot.yaml accepts "
+    accepted_one = "The ego's front hit NPC 0 after 12.4 s"
+    assert f"{told}`{accepted_one}`, but this failure is `NPC 1 hit the ego from behind`. " in text
     assert lines <= ROOM
     assert "not accepted" not in block(finding=accepted, label="accepted")[0]
 
@@ -147,10 +148,10 @@ def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
 
 def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
     assert "31 of 40 runs failed in the same way; the worst, number 28, hits at 11.4 m/s." in block(runs=40)[0]
-    assert "alike" not in block(runs=1, alike=Alike())[0]
+    assert "in the same way" not in block(runs=1, alike=Alike())[0]
     assert "No other run failed in the same way. replay" in block(runs=9, alike=Alike())[0]
     assert "31 of 40 runs failed in the same way. replay" in block(runs=40, severity=HARDER)[0]
-    assert "alike" not in block()[0]
+    assert "in the same way" not in block()[0]
 
 
 ERROR = (
@@ -159,7 +160,7 @@ ERROR = (
 NO_HIT = {"npc": None, "cell": None, "side": None}
 CHECK = {"failure": CHECK_FAILED, "check": Bounded(value=6.0, at_most=5.0, at_least=None, unit="m/s^2")}
 RAISED = {"outcome": Outcome.ADS_ERROR, "traceback": ERROR, "time": 3.8} | NO_HIT
-CRASHED = {"failure": PROCESS_CRASH, "outcome": Outcome.SAFE} | NO_HIT
+CRASHED = {"failure": PROCESS_CRASH, "outcome": Outcome.COMPLETED} | NO_HIT
 ALSO = f"Also in this run: {HEADLINE}; ego at fault."
 
 

@@ -151,8 +151,8 @@ def test_sentences_on_a_check_say_when_it_is_worst_and_until_when_it_is_broken(v
 def test_list_calls_it_failed_check_and_the_article_alone_blames_for_a_collision():
     view = shown(peaks(t61=35.1), at_most=20)
     listed = finding_list([view, as_seen(view, finding={"id": "other"})])
-    assert '<p class="summary">\u25b2 2 failed check</p>' in listed
-    assert "nobody" not in listed
+    assert '<p class="summary">\u25b2 2 failed checks</p>' in listed
+    assert "at fault" not in listed
     view = as_seen(view, finding={"expect": replace(view.seen.finding.expect, responsibility="npc")})
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
     assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)

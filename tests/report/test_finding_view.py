@@ -137,7 +137,7 @@ def test_headline_and_prose_are_from_run_by_default():
 
 def test_takeover_is_above_the_picture():
     trace = rear_trace()
-    safe = replace(trace, outcome=Outcome.SAFE, collision=None)
+    safe = replace(trace, outcome=Outcome.COMPLETED, collision=None)
     finding = finding_of(trace)
     first, *others = Run(trace).sentences
     assert view_of(trace).sentences == (first, *others)

@@ -8,11 +8,11 @@ from datetime import date
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.report.session import ADVICE
 from pytest_pafot.report.session_record import MAX_LISTED, markdown
+from pytest_pafot.searches.events import Ending, Search
 from pytest_pafot.support.text import code, plain
 from tests.findings.builders import sighting
 from tests.helpers.hostile import CHARACTERS

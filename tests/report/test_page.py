@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, data_json, finding_article, finding_list
+from pytest_pafot.searches.events import Ending, Search
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import (

@@ -9,7 +9,6 @@ from datetime import date
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import Search
 from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.sighting import Alike, Seen
 from pytest_pafot.findings.verdict import Severity
@@ -18,6 +17,7 @@ from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
 from pytest_pafot.report.terminal import search_lines
+from pytest_pafot.searches.events import Search
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS

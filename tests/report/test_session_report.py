@@ -2,9 +2,9 @@
 
 import re
 
-from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.report.page import WHOLE, session_facts
+from pytest_pafot.searches.options import BY_NAME
 from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.report.builders import as_seen, page_of, real_page, real_views

@@ -6,7 +6,6 @@ Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read t
 from collections import Counter
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
 from pytest_pafot.findings.shrink import Shrunk, described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import Severity
@@ -14,6 +13,7 @@ from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
+from pytest_pafot.searches.events import Ending, Progress, Search, concluded
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
@@ -61,7 +61,8 @@ CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(
 @table(("found", "simplest", "is_minimal", "line"), [
     ([[CUT_IN, AHEAD], [AHEAD]], [[AHEAD]], True, "from 2 NPCs, 3 instructions, 20 s to 1 NPC, 1 instruction, 10 s"),
     ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
-    ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s; a simpler one may exist"),
+    ([[CUT_IN, AHEAD]], [[AHEAD]], False,
+     "from 2 instructions, 20 s to 1 instruction, 10 s; a simpler scenario may exist"),
     ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
     (None, [[AHEAD]], False, None),
     (None, [[AHEAD]], True, None),
@@ -136,7 +137,7 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
     assert "48 runs (2 invalid, 1 rejected and 1 skipped)" in " ".join(short)
     assert "  5 of these runs had no interaction." in whole
     assert "  NPCs reached 63 % of their goals." in whole
-    assert "  Algorithm pafot, seed 4154884243 from --pafot-seed=3." in whole
+    assert "  Algorithm pafot, seed 4154884243, derived from --pafot-seed=3." in whole
     assert not {"interaction.", "reached", "Algorithm"} & {word for line in short for word in line.split()}
 
 

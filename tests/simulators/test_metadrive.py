@@ -22,14 +22,16 @@ def test_without_metadrive_the_error_names_the_extra(monkeypatch):
 
 def test_with_a_later_python_the_error_names_the_python(monkeypatch):
     monkeypatch.setattr(metadrive, "version_info", (3, 13, 1))
-    with pytest.raises(WorldError, match=r"received Python 3.13; in a Python 3.11 environment, which MetaDrive needs"):
+    with pytest.raises(
+        WorldError, match=r"received Python 3.13; in an environment with Python 3.11, which MetaDrive needs, run"
+    ):
         _ = pafot.metadrive().road
 
 
 @table(("arguments", "message"), [
-    ({"map": "SXS"}, 'map: expected letters of straight blocks and curves, such as "SSSCSS", received \'SXS\''),
-    ({"map": ""}, "map: expected letters"),
-    ({"map": 3}, "map: expected letters"),
+    ({"map": "SXS"}, 'map: expected a string of "S" (straight) and "C" (curve), such as "SSSCSS", received \'SXS\''),
+    ({"map": ""}, "map: expected a string"),
+    ({"map": 3}, "map: expected a string"),
     ({"lanes": 0}, "lanes: expected a whole number from 1 to 12, received 0"),
     ({"observation": "camera"}, 'observation: expected None for a planner, "lidar" or "vehicle", received \'camera\''),
     ({"sensors": {"camera": {}}}, "sensors: expected settings of lidar, side_detector, lane_line_detector: num_las"),

@@ -39,7 +39,7 @@ def test_upper_bound_puts_all_error_at_one_end():
     for trials in (1, 20, 150, 5_000):  # never rounded down
         most = float(re.search("at most (.*?) %", none_text(trials))[1]) / 100
         assert 1 - 0.05 ** (1 / trials) - 1e-9 <= most < 1.05 * (1 - 0.05 ** (1 / trials)) + 0.001
-    assert none_text(150) == ", so in at most 2 % of such scenarios, with 95 % confidence"
+    assert none_text(150) == ", so it occurs in at most 2 % of such scenarios, with 95 % confidence"
     assert at_most(3, 300, upper_bound(3, 300, 0.99)) == pytest.approx(0.01, rel=1e-9)
 
 

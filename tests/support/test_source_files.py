@@ -132,7 +132,7 @@ def test_missing_and_broken_files_are_no_errors(policy, tmp_path):
 def test_installed_and_own_packages_are_left_out():
     import numpy
 
-    from pytest_pafot.searching.algorithms.catalogue import RandomSearch
+    from pytest_pafot.algorithms.catalogue import RandomSearch
 
     assert source_files(numpy, RandomSearch, json_of, None, 1.0, "text").keys() == {Path(__file__)}
     exec_made = {}

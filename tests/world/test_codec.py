@@ -173,7 +173,7 @@ def test_file_cannot_exceed_time_limits_of_the_test():
     data = Highway(duration=60.0, hang_limit=86400.0).to_dict()
     own = Highway(duration=20.0, hang_limit=5.0)
     assert of_file(data, SIX_GENES, own) == Highway(duration=20.0, hang_limit=5.0)
-    assert cuts(data, SIX_GENES, own) == ["world.duration 60.0 in the file, 20.0 now"]
+    assert cuts(data, SIX_GENES, own) == ["world.duration is 60.0 in the file, 20.0 now"]
     assert of_file(data, SIX_GENES).hang_limit == 600.0
     fast = Highway(duration=60.0, physics_hz=1000).to_dict()
     assert of_file(fast, SIX_GENES, own).duration == pytest.approx(20 * 15 / 1000)
@@ -203,4 +203,4 @@ def test_duration_that_the_road_cuts_is_no_change():
     assert (data["duration"], own.longest_run < 20.0) == (20.0, True)
     assert cuts(data, SIX_GENES, own) == []
     assert elsewhere(data, SIX_GENES, own) == []
-    assert cuts({**data, "duration": 25.0}, SIX_GENES, own) == ["world.duration 25.0 in the file, 20.0 now"]
+    assert cuts({**data, "duration": 25.0}, SIX_GENES, own) == ["world.duration is 25.0 in the file, 20.0 now"]

@@ -136,6 +136,7 @@ def test_used_world_can_be_sent_to_another_process():
 
 HEAVY = """
 import sys
+import pytest_pafot.world.engines.gym_replay
 from pytest_pafot.world.stock import observation
 
 heavy = {"matplotlib", "matplotlib.pyplot", "pandas"}
@@ -168,6 +169,7 @@ for module in list(sys.modules.values()):
     for name in [name for name, value in vars(module).items() if id(value) in clocks]:
         setattr(module, name, lambda: 0.0)
 
+import pytest_pafot.world.engines.gym_replay
 from pytest_pafot.world.stock import observation
 assert observation.pd.DataFrame({"x": [1]}).x.sum() == 1
 assert (datetime.date, datetime.datetime) == (Date, Datetime)

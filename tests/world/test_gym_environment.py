@@ -36,6 +36,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
+from pytest_pafot.algorithms.fitness import before_impact
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
@@ -44,7 +45,6 @@ from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioE
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
@@ -926,9 +926,9 @@ class Marking(Falling):
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
 @pytest.mark.parametrize(("cls", "received"), [
-    (Falling, "with more at 4.0 s, at (500.0, 0.0) m"),
-    (Rolling, "with others at 4.0 s, at (300.0, 4.0) m"),
-    (Strewing, "with others at 0.0 s, at (4"),
+    (Falling, "with more objects at 4.0 s, at (500.0, 0.0) m"),
+    (Rolling, "with other objects at 4.0 s, at (300.0, 4.0) m"),
+    (Strewing, "with other objects at 0.0 s, at (4"),
     (Marking, ""),
 ])  # fmt: skip
 def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
@@ -956,20 +956,20 @@ def test_ego_does_not_start_at_an_obstacle(register):
     register("mine-v0", entry_point=Blocked)
     world = World("mine-v0", duration=12.0)
     ahead = (
-        "from the ego's start at (200, 4) m to 2 s ahead of it at 22 m/s, received lane 1, in which an object is at "
+        "from the ego's start at (200, 4) m to 2 s ahead at 22 m/s, received lane 1, which has an object at "
         "(202.5, 4.0) m"
     )
     blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
     with pytest.raises(ScenarioError, match=re.escape(f"{ahead}; write ego_lane=0")):
         world.rollout(blocked, IDLE)
-    with pytest.raises(ScenarioError, match=re.escape("received lane 2, in which an object is at (244.0, 8.0) m")):
+    with pytest.raises(ScenarioError, match=re.escape("received lane 2, which has an object at (244.0, 8.0) m")):
         world.rollout(replace(blocked, ego_lane=2), IDLE)
     slow = world.rollout(replace(blocked, ego_lane=2, ego_speed=20.0), lambda: lambda seen: 4)
     assert (slow.collision.npc, slow.ticks > 15) == (None, True)
     for run in (world.rollout, world.rollout_in_gym):
         free = replace(blocked, ego_lane=0)
         assert run(free, IDLE).ticks > 0
-        with pytest.raises(ScenarioError, match=re.escape("received lane 0, in which an object is at (194.0, 0.0) m")):
+        with pytest.raises(ScenarioError, match=re.escape("received lane 0, which has an object at (194.0, 0.0) m")):
             run(free, Lorry)
 
 
@@ -1135,7 +1135,7 @@ def test_wrapper_that_does_not_step_is_reported():
     trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
     assert (trace.duration, trace.ended) == (2.0, "max_episode_steps=2")
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
-    with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; remove wrappers .* reset episodes"):
+    with pytest.raises(WorldError, match=r"a step at 2.0 s that did not; remove wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
 
 
@@ -1154,6 +1154,6 @@ def test_a_crash_that_only_the_environment_sees_is_no_collision(register):
     queue = Scenario(npcs=[[PositionInstruction(2, 5.0)]], gene_seconds=10.0)
     assert World("highway-v0").rollout(queue, IDLE).outcome is Outcome.COLLISION
     trace = World("mine-v0").rollout(queue, IDLE)
-    assert (trace.outcome, trace.ended, trace.duration < 10.0) == (Outcome.SAFE, "Cautious.step", True)
+    assert (trace.outcome, trace.ended, trace.duration < 10.0) == (Outcome.COMPLETED, "Cautious.step", True)
     trace = World("mine-v0", ends="duration").rollout(queue, IDLE)
-    assert (trace.outcome, trace.ended, trace.duration) == (Outcome.SAFE, "", 10.0)
+    assert (trace.outcome, trace.ended, trace.duration) == (Outcome.COMPLETED, "", 10.0)

@@ -67,9 +67,9 @@ def test_longer_run_begins_as_the_usual_run(world, ads):
         rows = len(usual.states)
         assert longer.states[:rows].tobytes() == usual.states.tobytes()
         assert (longer.scenario, longer.actions[: len(usual.actions)]) == (scenario, usual.actions)
-        is_over = usual.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD)
+        is_over = usual.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD)
         assert is_over or longer.ticks > usual.ticks
-        assert longer.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD) or longer.duration == DURATION + 3.0
+        assert longer.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD) or longer.duration == DURATION + 3.0
 
 
 def test_road_and_configuration_stay_the_same():

@@ -8,11 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
+from pytest_pafot.algorithms.operators import crossover, mutate
+from pytest_pafot.algorithms.space import sample, space_on
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
-from pytest_pafot.searching.operators import crossover, mutate
-from pytest_pafot.searching.space import sample, space_on
 from tests.helpers.road_cases import violations, world_of
 from tests.helpers.world_cases import TRAFFICS, constant_speed, idm
 
@@ -190,7 +190,7 @@ def test_only_one_of_two_npcs_enters_a_gap():
     beside = chain("keep@20", "right@20"), chain("keep@26", "keep@26"), chain("keep@20", "left@20")
     trace = drive(scenario(*beside, ego_speed=15.0), duration=10.0)
     assert np.ptp(trace.npcs[75, [0, 2], X]) < 0.5, "they should be side by side"
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert trace.npcs[-1, [0, 2], LANE].tolist() == [1, 2]
 
 
@@ -213,6 +213,6 @@ def test_npc_waits_until_the_one_beside_it_has_left_the_lane():
 def test_npc_does_not_steer_into_another_npc():
     """NPC 0, to the left of NPC 1 and equally fast, has the instruction to move over; NPC 1 stays where it is."""
     trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert trace.arrivals[0] == (None, 75)
     assert np.all(trace.npcs[:, 0, LANE] == 0)

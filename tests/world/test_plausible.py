@@ -14,9 +14,9 @@ from highway_env.vehicle.controller import MDPVehicle
 
 import pytest_pafot as pafot
 from pytest_pafot import PositionInstruction, Scenario, SimulatorWorld
+from pytest_pafot.algorithms.space import SearchSpace, sample
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import SPEED, SURVIVES, Outcome, first_difference
-from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.world import WorldError
 from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.plausible import Implausible, Plausibility
@@ -332,7 +332,7 @@ def test_rate_counts_no_episode_in_which_the_ego_jumps():
 
 
 def test_a_fault_in_the_first_tick_is_an_error_at_once():
-    with pytest.raises(WorldError, match=r"FaultyBicycle.states, tick 1: expected that"):
+    with pytest.raises(WorldError, match=r"FaultyBicycle.states, tick 1: expected the ego to move"):
         world_of("bicycle", "jump", 0, 1).rollout(AHEAD, STRAIGHT)
 
 

@@ -12,19 +12,19 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import (
     CrossingInstruction,
-    Drive,
+    LaneCommand,
     LaneInstruction,
     PositionInstruction,
     Scenario,
     ScenarioError,
     VehicleType,
 )
+from pytest_pafot.algorithms import sample
 from pytest_pafot.criticality.measures import Encounters, overlaps
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import sample
 from pytest_pafot.world import Highway, World, WorldError
 from tests.helpers.limits import limits
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
@@ -43,7 +43,7 @@ KINDS = (
 
 def keeping():
     """Return a planner that keeps its lane and speed."""
-    return lambda seen: Drive(lane=max(seen.ego.lane, 0), acceleration=0.0)
+    return lambda seen: LaneCommand(lane=max(seen.ego.lane, 0), acceleration=0.0)
 
 
 def with_kinds(scenario, world, rng):
@@ -201,7 +201,7 @@ def test_a_planner_sees_its_own_size_and_a_straightened_road():
     seen = []
     for world in (Highway(ego=VAN), World("racetrack-v0", planner_hz=5, duration=8.0, ego=VAN)):
         scenario = Scenario(npcs=[[LaneInstruction("keep", 5.0)]], ego_lane=1, ego_speed=10.0)
-        trace = world.rollout(scenario, lambda: lambda now: (seen.append(now), Drive(lane=1, speed=8.0))[1])
+        trace = world.rollout(scenario, lambda: lambda now: (seen.append(now), LaneCommand(lane=1, speed=8.0))[1])
     assert {(each.ego.length, each.ego.width) for each in seen} == {(6.5, 2.16)}
     assert abs(trace.track_of(0)[:, OFFSET]).max() < 0.25
 

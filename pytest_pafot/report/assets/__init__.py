@@ -1,1 +1,1 @@
-"""Style and scripts of the report page; read with importlib.resources, never imported."""
+"""The style and the scripts of the report page, read with importlib.resources."""

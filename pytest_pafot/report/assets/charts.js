@@ -1,10 +1,10 @@
-// The instructions and the curves over a common time axis with one cursor.
+// The instructions and the curves, with a common time axis and one cursor.
 
 const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 
 const CURVES = [
   { key: "gap", title: "gap to the ego", unit: "m", top: 40, remark: ", up to 40" },
-  { key: "ttc", title: "time to contact", unit: "s", top: 8, remark: ", up to 8; no curve while they are not on a collision course" },
+  { key: "ttc", title: "time to contact", unit: "s", top: 8, remark: ", up to 8; no curve without a collision course" },
   { key: "advantage", title: "expected time between the two in the conflict zone", unit: "s", top: 4 },
   { key: "speed", title: "speed", unit: "m/s" },
   { key: "acceleration", title: "acceleration", unit: "m/s^2", least: 4 },
@@ -54,7 +54,7 @@ class Charts {
   }
 
   row(name, blocks) {
-    // Blocks over their time, with as many of their words as fit, and a mark where the goal was reached.
+    // Blocks over time, with as much of their text as fits, and a mark at the time when the goal was reached.
     this.side(this.y + 10, name);
     for (const { start, end, words, arrived = null, name: ink } of blocks) {
       const [x0, x1] = [this.x(start), this.x(Math.min(end, this.duration))];
@@ -100,7 +100,7 @@ class Charts {
   }
 
   check(check) {
-    this.heading(check.name, `${check.unit ? ` [${check.unit}]` : ""}${this.width < 600 ? ", red: bound broken" : ", worst value per frame; red: bound broken"}`);
+    this.heading(check.name, `${check.unit ? ` [${check.unit}]` : ""}${this.width < 600 ? ", red: outside the bounds" : ", worst value per frame; red: outside the bounds"}`);
     for (const [from, to] of check.broken) {
       this.add("rect", { x: px(this.x(from)), width: px(Math.max(2, this.x(to) - this.x(from))), y: px(this.y), height: CHART.curve, class: "broken" });
     }

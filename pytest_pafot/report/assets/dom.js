@@ -1,4 +1,4 @@
-// Small helpers: elements, numbers, colours. Nothing here depends on what is drawn.
+// Small helpers for elements, numbers and colours. They do not depend on what is drawn.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -34,7 +34,7 @@ function linePath(points) {
   return path;
 }
 
-// NPCs differ even without colour: by their number and by the dashes of their curve.
+// NPCs can be distinguished without colour, by their numbers and by the dashes of their curves.
 const DASHES = ["", "8 4", "2 3", "10 3 2 3", "5 2", "12 4 2 4 2 4", "3 6", "1 2"];
 const dashes = (vehicle) => (vehicle === 0 ? null : DASHES[(vehicle - 1) % DASHES.length] || null);
 const stroke = (vehicle) => (vehicle === 0 ? "c-ego" : `c${(vehicle - 1) % 8}`);

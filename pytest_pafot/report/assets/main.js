@@ -25,7 +25,7 @@ function show(index, time) {
 }
 
 function follow() {
-  // Shows what the address asks for: a finding, and a time of it.
+  // Shows the finding and the time that the address requests.
   const asked = new URLSearchParams(location.hash.slice(1));
   const index = links.findIndex((link) => link.dataset.key === asked.get("finding"));
   const time = Number.parseFloat(asked.get("t"));
@@ -78,7 +78,7 @@ async function copy(button) {
     await navigator.clipboard.writeText(source.textContent);
     button.textContent = "Copied";
   } catch {
-    // Some browsers allow no clipboard for files.
+    // Some browsers do not allow access to the clipboard for local files.
     getSelection().selectAllChildren(source);
     button.textContent = "Selected, press Ctrl+C";
   }

@@ -1,4 +1,4 @@
-// One finding on stage: time, controls, and the drawing at that time.
+// The player of one finding: the time, the controls, and the drawing at that time.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const CALM_STEP = 0.5;
@@ -73,7 +73,7 @@ class Player {
     this.legend.textContent = `E is the ego, which the policy drives. Numbers are the NPCs, the other vehicles. Dotted trails show the last ${TRAIL_SECONDS} s${isRelative ? ", relative to the ego" : ""}. ` +
       (isRelative ? "Numbered boxes are the cells around the ego. Dashed lines lead to the targets of NPCs. " : "") +
       (isCrossed(this.finding) ? "Dotted lines are the paths of crossing NPCs. Shaded areas are their conflict zones with the ego's path. " : "") +
-      "Bars at the rear mean braking." + (this.finding.ghost ? " The shaded box is the ego if a careful driver takes over shortly before the impact." : "");
+      "Bars at the rear mean braking." + (this.finding.ghost ? " The shaded box shows the ego if a careful driver takes over shortly before the impact." : "");
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
@@ -96,7 +96,7 @@ class Player {
     });
   }
 
-  isAtEnd() { return this.time >= this.duration - 0.006; } // addresses have two digits
+  isAtEnd() { return this.time >= this.duration - 0.006; } // times in addresses have two decimals
 
   seek(time) {
     this.time = clamp(Math.round(time * 1000) / 1000, 0, this.duration);

@@ -1,10 +1,10 @@
-// The bird's-eye view: where everything is at a time (pure), and the picture of it. Lengths are in metres until drawn.
+// The bird's-eye view: pure functions for the state at a time, and the picture. Lengths are in metres until they are drawn.
 
 const CELL_NAMES = ["the ego's own", "1 front-left", "2 front", "3 front-right", "4 right", "5 rear-right", "6 rear", "7 rear-left", "8 left"];
 const ROWS = [0, 1, 1, 1, 0, -1, -1, -1, 0];
 const COLUMNS = [0, -1, 0, 1, 1, 1, 0, -1, -1];
 
-// The time of the moment that a finding is about.
+// The time of the check or the event that a finding is about.
 const momentOf = (finding) => finding.check?.time ?? finding.event.time;
 const isCrossed = (finding) => finding.vehicles.some((vehicle) => vehicle.zone);
 // The goal of an instruction: a zone, a lane relative to the ego's, or a cell.
@@ -90,7 +90,7 @@ const TRAIL_SECONDS = 4;
 const RULER = 24;
 const SHOULDER = 1.4;
 const HALF_HEIGHT = 18; // Half of the height of the picture of a curved road [m].
-const CROSSED_HALF_HEIGHT = 32; // The same with a crossing vehicle, which would otherwise appear only 2 s before contact.
+const CROSSED_HALF_HEIGHT = 32; // The same with a crossing vehicle, which would otherwise appear only 2 s before the contact.
 const STAR = "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z";
 
 class Scene {
@@ -211,7 +211,7 @@ class Scene {
   }
 
   drawGhost([index, share]) {
-    // The ego with a careful driver, after the takeover.
+    // The ego after a careful driver has taken over.
     const { ghost } = this.finding;
     const at = [index - (ghost?.first ?? 0), share];
     this.ghost.setAttribute("visibility", ghost && at[0] in ghost.along ? "visible" : "hidden");
@@ -221,7 +221,7 @@ class Scene {
   }
 
   box(along, across, more) {
-    // The box of a cell or a target: the size of a vehicle and a lane, and so many more pixels.
+    // The box of a cell or a target: as long as a vehicle, as wide as a lane, and larger by some pixels.
     const [length, width] = [this.ego.length * this.scale + more, this.finding.road.lane_width * this.scale - 4 + more];
     return { x: px(this.x(along) - length / 2), y: px(this.y(across) - width / 2), width: px(length), height: px(width) };
   }

@@ -1,1 +1,1 @@
-"""Kinds of ADS with their perception, and the drivers and vehicles that need highway-env's code."""
+"""Policies and their perception, and the drivers and vehicles that need highway-env's code."""

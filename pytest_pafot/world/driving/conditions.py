@@ -1,7 +1,7 @@
 """The conditions that a policy evaluates in one decision, with their values, if the policy's source is available.
 
-For this decision, the user's functions run a copy of their code, compiled from the same source, in which a recorder is
-called with each condition. So nothing is evaluated twice, and the values are those that the policy used.
+For this decision, the user's functions run copies of their code, compiled from the same source, which pass each
+condition to a recorder. So nothing is evaluated twice, and the recorder sees the values that the policy used.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from pytest_pafot.support.text import visible
 
 PARTING = 3  # the largest number of rows for conditions that another decision evaluates differently
 
-FIRST = 500  # the largest number of evaluations of a condition that are compared with those of another decision
+FIRST = 500  # the largest number of evaluations per condition that are compared with another decision
 
-# the largest number of characters of a row; a longer one, which no person wrote, has no text of the condition
+# the largest number of characters of a row; the text of a longer condition, which no person wrote, is omitted
 LONGEST = 1000
 
 LOOKED_AT = 50  # the largest number of elements of a value that are compared with those in another decision
@@ -59,7 +59,7 @@ class Evaluated:
     """A condition that was evaluated in a decision."""
 
     condition: str  # file, line and text
-    last: Evaluation  # the last one with its rarest outcome
+    last: Evaluation  # the last evaluation with the rarest outcome
     first: tuple[Evaluation, ...] = ()
 
     def row(self, evaluation: Evaluation) -> str:
@@ -76,7 +76,7 @@ class Evaluated:
 
 
 def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
-    """Return the numbers of the evaluations with different values or outcomes in another decision.
+    """Return the numbers of the evaluations that have other values or another outcome in another decision.
 
     The comparison stops where the other decision evaluates another condition.
     """
@@ -94,15 +94,15 @@ def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated
 
 
 Whom = Mapping[int, tuple[int, ...]]
-"""The NPCs on which an evaluation depends, by its number."""
+"""The NPCs on which each evaluation depends, by the number of the evaluation."""
 
 
 class Parted(NamedTuple):
-    """An evaluation with another result in another decision."""
+    """An evaluation that differs in another decision."""
 
     evaluation: Evaluation
     ending: str  # added to its row
-    whom: tuple[int, ...]  # the NPC with another position; its outcome depends on this NPC, even if no value shows it
+    whom: tuple[int, ...]  # the NPC with another position, on which the outcome depends, even if no value shows this
 
 
 def parting(
@@ -123,12 +123,12 @@ def parting(
         npc: the NPC with another position in the other decision, or None.
         whom: the NPCs on which the evaluations depend.
     """
-    # Differences that a loop over vehicles makes, because it comes to the same one earlier or later, are skipped.
     otherwise = {each.condition: each.first for each in others}
     found: list[tuple[int, str, Parted]] = []
     for each in evaluated:
         for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
             is_same = here.outcome == there.outcome
+            # Also skip differences that exist only because a loop reaches the same vehicle earlier or later.
             if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(here.number, (npc,)):
                 continue
             ending = f"also {when}" if is_same else f"{when} {there.outcome}"
@@ -139,8 +139,8 @@ def parting(
     return {condition: row for _, condition, row in ordered}
 
 
-# names the rows with values that depend on no NPC; outcomes of earlier conditions may still be about one
-NOBODY = "no NPC, or unknown which"
+# the subject of rows with values that depend on no NPC; their outcomes may still follow from conditions on an NPC
+NOBODY = "no NPC or an unknown NPC"
 Groups = tuple[tuple[str, tuple[str, ...]], ...]
 """Rows of conditions by subject: ``NPC 1``, :data:`NOBODY`, or an empty string for all."""
 
@@ -163,7 +163,7 @@ def shown(
         about = None if whom is None else whom.get(evaluation.number, unless)
         rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{ending}"))
 
-    conditions = {each.condition: each for each in evaluated}  # first the rows of `first`, then the others
+    conditions = {each.condition: each for each in evaluated}  # first the rows of `first`, then the other rows
     for condition, parted in first.items():
         add(conditions.pop(condition), *parted)
     for each in conditions.values():
@@ -198,14 +198,14 @@ class Conditions:
         for file in sources:
             place = f"{file.relative_to(root).as_posix()} " if len(sources) > 1 else ""
             with suppress(OSError, SyntaxError, ValueError, RecursionError), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Python has warned of this source when it was imported.
+                warnings.simplefilter("ignore")  # Python warned about this source when it was imported.
                 source = file.read_bytes()
                 tree = ast.fix_missing_locations(_Marking(place).visit(ast.parse(source)))
                 plain = compile(source, file, "exec", dont_inherit=True)
                 marked = self._with_recorder(compile(tree, file, "exec", dont_inherit=True))
                 self._copies[str(file)] = {code: copy for code, copy in _pairs(plain, marked) if code != copy}
         self._places = {(code.co_name, code.co_firstlineno) for copies in self._copies.values() for code in copies}
-        # A forked process freezes all that exists, so that it would not find these functions.
+        # Find the functions now, because a forked process freezes its objects and would not find them later.
         self._functions = self._found()
 
     def __bool__(self) -> bool:
@@ -230,7 +230,7 @@ class Conditions:
             for function, code in before:
                 function.__code__ = code
         held = [ads]
-        for _ in range(3):  # to the methods, attributes and variables of the ADS, and what is in lists of these
+        for _ in range(3):  # to the methods, attributes and variables of the ADS, and the contents of their lists
             held = gc.get_referents(*held)
             if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
                 return
@@ -240,7 +240,7 @@ class Conditions:
         return [each for each in gc.get_objects() if type(each) is FunctionType and self._copy(each.__code__)]
 
     def _copy(self, code: CodeType) -> CodeType | None:
-        if (code.co_name, code.co_firstlineno) not in self._places:  # else every function's path would be resolved
+        if (code.co_name, code.co_firstlineno) not in self._places:  # much faster than resolving the path
             return None
         file = self._real.get(code.co_filename)
         if file is None:
@@ -265,7 +265,7 @@ def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeTy
 
 
 class _Marking(ast.NodeTransformer):
-    """Replaces each condition of a file, and each value in it, by a call of the recorder."""
+    """A transformer that replaces each condition of a file, and each value in it, by a call of the recorder."""
 
     def __init__(self, place: str) -> None:
         self._place = place
@@ -286,13 +286,13 @@ class _Marking(ast.NodeTransformer):
             return node
         name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
         value = _Values(self, name).visit(node)
-        if is_test:  # Its truth is asked for once, because the code that does it may be the user's.
+        if is_test:  # Its truth is evaluated only once, because that may run the user's code.
             value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
         return _called("end", node, name, _called("begin", node), value)
 
 
 class _Values(ast.NodeTransformer):
-    """Replaces the values in a condition (names, attributes, items and results) by calls of the recorder."""
+    """A transformer that replaces names, attributes, items and calls in a condition by calls of the recorder."""
 
     def __init__(self, marking: _Marking, condition: ast.Constant) -> None:
         self._marking, self._condition = marking, condition
@@ -310,7 +310,7 @@ def _called(method: str, place: Any, *arguments: Any) -> Any:
 
 
 class _Recorder:
-    """The object that the copied code calls with each value, and that returns the value."""
+    """The object to which the copied code passes each value, and which returns the value."""
 
     def __init__(self) -> None:
         self.thread: int | None = None
@@ -346,7 +346,7 @@ class _Recorder:
                 outcomes = self._outcomes.pop(condition, {})
                 times, _ = outcomes.pop(evaluation.outcome, (0, None))
                 outcomes[evaluation.outcome] = times + 1, evaluation
-                self._outcomes[condition] = outcomes  # behind the others, because it was evaluated last
+                self._outcomes[condition] = outcomes  # at the end, because this condition was evaluated last
         return value
 
     def evaluated(self) -> list[Evaluated]:

@@ -1,7 +1,7 @@
-"""An environment's actions and observations for policies, and drivers for its vehicle classes.
+"""Drivers that use the actions, observations or vehicle classes of an environment.
 
-The Kinematics observation is made in compiled code, equal to the last bit. highway-env's function takes milliseconds
-for it, which is longer than the rest of a run. highway-env makes all other observations.
+Compiled code makes the Kinematics observation, equal to the last bit. highway-env's own function takes milliseconds,
+which is longer than the rest of a run. highway-env makes all other observations.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ def checked_action(action: Any, space: Any) -> Any:
     """Convert an action to an int, or to a float array with the shape of the space.
 
     Raises:
-        BadAction: for another kind or shape. The environment limits numbers outside the bounds itself.
+        BadAction: for another kind or shape. Numbers outside the bounds of a Box are accepted.
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
-    if is_choice:  # only a choice is checked for its bounds: the environment limits other numbers itself
+    if is_choice:  # only a choice must be within bounds, because the environment limits other numbers itself
         expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
     try:
         given = np.asarray(action)  # may run the ADS's code, for example __array__
@@ -108,7 +108,7 @@ def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
 
 
 class View:
-    """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
+    """An environment that a planner can simulate in, with the state of the run but without the NPCs' plans.
 
     Every NPC has the environment's own traffic class. Its desired speed is its current speed, because an observer
     cannot know more.
@@ -134,7 +134,7 @@ class View:
         ego.check_collisions = True
         road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
-        for each in source.road.vehicles:  # without a route or a target: the NPCs' genes stay hidden
+        for each in source.road.vehicles:  # without a route or a target, so that the NPCs' plans stay hidden
             if each is not source.vehicle:
                 state = np.array(each.position), float(each.heading), float(each.speed)
                 road.vehicles.append(self._traffic(road, *state))
@@ -147,7 +147,7 @@ class View:
         env.observation_space.seed(tick)
 
 
-# what highway-env's observations read of each class, but the compiled code does not
+# the members of each class that highway-env's observations use, but that the compiled code does not
 _REPLACED = {
     Road: ("close_objects_to", "close_vehicles_to"),
     RoadObject: ("to_dict",),
@@ -161,14 +161,14 @@ OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollis
 
 
 def observer(env: Any) -> Any:
-    """Return a function for an environment's observation, faster than the environment's own function if possible."""
+    """Return a function that makes an environment's observation, faster than the environment if possible."""
     stock = env.observation_type
     network = compiled_network(env.road.network) if _is_fit(stock) else None
     return _slow(stock) if network is None else FastTable(env, stock, network)
 
 
 def observe_by(env: Any, observe: Callable[[], Any]) -> None:
-    """Replace an environment's function for its observation, also after resets."""
+    """Replace the function that makes an environment's observation, also after resets."""
 
     def define_spaces() -> None:
         type(env).define_spaces(env)
@@ -182,7 +182,7 @@ def hide(env: Any, npc: int) -> Callable[[], Any]:
     """Remove an NPC from an environment's observations, and return the new observation function.
 
     Raises:
-        WorldError: for an observation that is not computed only from the vehicles on the road.
+        WorldError: for an observation that is not computed from the vehicles on the road alone.
     """
     kinds = [each.__name__ for each in type(env.observation_type).__mro__]
     if not {*kinds}.intersection(OF_THE_ROAD):
@@ -211,9 +211,9 @@ def _is_fit(stock: Any) -> bool:
 
 
 class FastTable:
-    """A faster function for Kinematics, and for the same table with the distance to an exit.
+    """A faster function for the Kinematics observation, also with the distance to an exit.
 
-    It calls highway-env's own function if a class of the road or a vehicle overrides what that function reads.
+    It calls highway-env's own function if the class of the road or of a vehicle overrides a member that matters.
     """
 
     def __init__(self, env: Any, stock: Any, network: Network) -> None:
@@ -225,7 +225,7 @@ class FastTable:
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
 
     def reads_poses_alone(self, traffic: Any) -> bool:
-        """Return whether it reads only positions, headings and speeds of vehicles of a traffic class."""
+        """Return whether observations contain only positions, headings and speeds of a traffic class."""
         of_lanes = {"cos_d", "sin_d", "long_off", "lat_off", "ang_off"}
         return of_lanes.isdisjoint(self._stock.features) and _is_plain(traffic, Vehicle)
 
@@ -238,7 +238,7 @@ class FastTable:
         elif stock.include_obstacles:
             objects = road.objects
         ego = stock.observer_vehicle
-        is_plain = (  # classes with their own way to observe need highway-env's function
+        is_plain = (  # classes that override these members need highway-env's function
             all(_is_plain(kind, Vehicle) for kind in {type(ego), *map(type, road.vehicles)})
             and _is_plain(road.__class__, Road)
             and all(_is_plain(each.__class__, RoadObject) for each in objects)
@@ -271,7 +271,7 @@ def _is_plain(kind: Any, base: Any) -> bool:
 
 
 class GuardedDriver(EgoDriver):
-    """A driver that decides by Python code under guard."""
+    """A driver that decides with Python code, which a guard can interrupt."""
 
     def __init__(self, ego: Body, every: int, guard: HangGuard) -> None:
         super().__init__(ego, every)
@@ -318,7 +318,7 @@ class ObjectDriver(GuardedDriver):
         self.vehicle = vehicle  # at its start
         self.road = road  # highway-env's; the vehicle's own `road` may be the user's
         self._class = traffic or TrafficClass(StockVehicle)  # by default NPCs have no goals
-        self.traffic: Any = None  # on the road from `show` on, if it is called
+        self.traffic: Any = None  # on the road after `show`, if it is called
         self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
         self._plausibility: Plausibility | None = None
         self._tick = 0
@@ -339,10 +339,10 @@ class ObjectDriver(GuardedDriver):
         self.vehicle.act()
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the vehicle with its class, which can be the user's code, and return its error, or None.
+        """Move the vehicle with the code of its class, and return an error of this code or None.
 
         Raises:
-            Implausible: if it moves as no vehicle can move.
+            Implausible: if the vehicle moves in an impossible way.
         """
         self._tick += 1
         guard, ego = self.guard, self.ego
@@ -350,7 +350,7 @@ class ObjectDriver(GuardedDriver):
             self._plausibility = Plausibility([(ego.x, ego.y, ego.heading, ego.speed)], dt)
         try:
             try:
-                self.show_all(is_lean=True)  # with the new controls of the NPCs, which are where they were
+                self.show_all(is_lean=True)  # NPCs have new controls, but have not moved yet
                 guard.decision_starts()
                 if self._regulated is not None:
                     self._regulated.regulate(dt)
@@ -388,7 +388,7 @@ class PolicyDriver(ObjectDriver):
         self._ads = ads
         self._observe = hide(env, ads.npc) if isinstance(ads, Unseeing) else observer(env)
         self._view = view
-        self.reads_poses_alone = False  # of the NPCs in a decision
+        self.reads_poses_alone = False  # true if a decision needs no lanes or targets of the NPCs
 
     def make_decision(self, tick: int) -> Any:
         return self._applied(self._ads(self.observe(tick)))
@@ -415,7 +415,7 @@ class PolicyDriver(ObjectDriver):
 
 
 class ModelPolicyDriver(PolicyDriver):
-    """A driver with an ego that the kernel moves, in the same way as highway-env's vehicle classes."""
+    """A driver with an ego that the kernel moves as highway-env's vehicle classes would move it."""
 
     def __init__(
         self,
@@ -432,7 +432,7 @@ class ModelPolicyDriver(PolicyDriver):
         super().__init__(ads, env, guard, every, traffic, view, self._model)
         is_stock = type(env.action_type).__module__.startswith("highway_env.")
         is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(traffic.seen)
-        self.reads_poses_alone = is_stock and is_fast  # then a decision needs no lanes or targets of the NPCs
+        self.reads_poses_alone = is_stock and is_fast
 
     def show_all(self, *, is_lean: bool = False) -> None:
         self._compiled.show(self.vehicle, self._model)
@@ -451,14 +451,14 @@ class ModelPolicyDriver(PolicyDriver):
 
 
 def body_of(vehicle: Any) -> Body:
-    """Return a body in the loop for a highway-env vehicle."""
+    """Return a body for the loop in the state of a highway-env vehicle."""
     body = Body(float(vehicle.LENGTH), float(vehicle.WIDTH))
     follow(body, vehicle)
     return body
 
 
 def follow(body: Body, vehicle: Any) -> None:
-    """Give a body in the loop the state of a highway-env vehicle.
+    """Copy the state of a highway-env vehicle to a body of the loop.
 
     Raises:
         BadAction: if the state is not finite.
@@ -472,7 +472,7 @@ def follow(body: Body, vehicle: Any) -> None:
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
-    """Make highway-env's regulated roads predict NPCs along their paths or lanes."""
+    """Make highway-env's regulated roads predict that NPCs follow their paths or lanes."""
     for npc, body in zip(npcs, places.bodies[1:], strict=True):
         pose_at = road.foresight(body)
         if pose_at is not None:

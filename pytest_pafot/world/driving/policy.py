@@ -1,4 +1,4 @@
-"""ADSs and their factories: how factories are called, and what they declare about their ADSs."""
+"""Factories of ADSs, with the checks of their calls and of the ADSs that they return."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.guard.hang_guard import Around, one_process, unending
 from pytest_pafot.world.kernel.observation import Observation, Observer, Sensor
 
-# an example of a factory for a trained model, for messages
+# an example of a factory for a trained model, used in messages
 PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
 
 AdsFactory = Callable[..., Any]
-"""A callable that returns a fresh ADS, called once per scenario.
+"""A callable that returns a fresh ADS. It is called once per scenario.
 
-It may have these optional members. ``check_world(world)`` raises an error if its ADSs cannot drive there. ``preload()``
-loads what forked processes share. ``loading_hint`` is a string that a search reports as a note."""
+It can have these members. ``check_world(world)`` raises an error if its ADSs cannot drive in the world. ``preload()``
+loads data that forked processes share. ``loading_hint`` is a string that a search reports as a note."""
 
 
 def is_vehicle_class(candidate: object) -> bool:
@@ -48,7 +48,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     if is_vehicle_class(factory):
         return _checked_vehicle_class(factory)
     if not callable(factory):
-        hint = hint_at_object(factory) or "Return one from the fixture, for example `return lambda: MyPlanner()`"
+        hint = hint_at_object(factory) or "Return a factory from the fixture, for example `return lambda: MyPlanner()`"
         raise AdsFactoryError(
             "ads: expected a factory, a callable that returns a fresh ADS for each scenario, received "
             f"{shown(factory)}. {hint}"
@@ -60,7 +60,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     except SystemExit as error:
         raise AdsFactoryError(
             f"ads: expected the factory to return an ADS, received SystemExit: {error}. The factory called "
-            "sys.exit. Raise an exception instead"
+            "sys.exit. Raise another exception instead"
         ) from error
     except TypeError as error:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):
@@ -76,7 +76,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     if callable(ads):
         return ads
     hint = hint_at_object(ads) or (
-        "The ADS returns actions, not the factory. Write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
+        "A factory returns an ADS, not an action. Write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
     )
     raise AdsFactoryError(
         "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
@@ -100,13 +100,13 @@ def _checked_vehicle_class(vehicle_class: Any) -> Any:
 
 
 def _check_sight_is_told(factory: AdsFactory, sight: Sight) -> None:
-    # A reader of the factory, such as the writer of a finding, would assume perfect perception.
+    # Code that only sees the factory, for example to save a finding, would assume perfect perception.
     seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == sight)
     if getattr(seeing, "sight", None) != sight:
         raise AdsFactoryError(
-            f"ads: expected a pafot.Perception as the factory itself, received a pafot.Perception that "
-            f"{shown(factory)} makes. Findings would not state the imperfect perception. Write "
-            "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
+            f"ads: expected a pafot.Perception as the factory itself, received {shown(factory)}, "
+            f"which uses a pafot.Perception. Findings would not state the imperfect perception. Write "
+            "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return this object from the fixture"
         )
 
 
@@ -149,10 +149,10 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
             hint = f"For a model, write {PREDICTING}"
         elif inspect.isfunction(inner) and inner.__name__ != "<lambda>":
             name = inner.__name__
-            hint = f"If {name} is the ADS itself, write `lambda: {name}`; if it makes one, `lambda: {name}(...)`"
+            hint = f"If {name} is the ADS itself, write `lambda: {name}`; if it makes an ADS, `lambda: {name}(...)`"
         else:
             hint = (
-                "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: "
+                "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh ADS: "
                 "`lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
             )
         raise AdsFactoryError(
@@ -179,11 +179,11 @@ class Perception(Sight):
 
     Attributes:
         ads: factory of the planner.
-        range: largest distance between the centres of two vehicles at which the planner sees the other vehicle [m].
+        range: largest distance at which the planner sees another vehicle, measured between the centres [m].
         latency: age of the observed states of other vehicles [s], rounded up to physics ticks. The ego's state is
             current.
-        noise: standard deviations of normally distributed errors of ``"position"``, in x and in y [m], and ``"speed"``
-            [m/s], for each vehicle at each decision.
+        noise: standard deviations of the normally distributed errors in ``"position"``, for x and y [m], and in
+            ``"speed"`` [m/s]. Each vehicle has new errors at each decision.
         dropout: probability that the planner does not see a vehicle at a decision.
 
     Raises:
@@ -195,7 +195,7 @@ class Perception(Sight):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "__wrapped__", self.ads)  # inspect takes the signature from there
+        object.__setattr__(self, "__wrapped__", self.ads)  # inspect then returns the signature of this factory
         fix = ""
         if isinstance(self.ads, Perception):
             fix = "pass all imperfections to one Perception"
@@ -218,7 +218,7 @@ class Perception(Sight):
             raise refused_policy("a pafot.Perception that is used as the factory", received, fix)
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):
-            raise refused_policy("a callable in a Perception", shown(ads), DRIVES_ITSELF)
+            raise refused_policy("a factory of callables in a Perception", shown(ads), DRIVES_ITSELF)
         return SeeingAds(ads, self.sight)
 
 
@@ -266,7 +266,7 @@ class ImperfectSensor(Sensor):
 
     def observation(self, tick: int) -> Observation:
         exact = self._sensor
-        # The ego's own state is current; the other vehicles are seen as they were before the latency.
+        # The state of the ego is current, but the states of other vehicles are as old as the latency.
         now, then = (exact.observation(each) for each in (tick, max(0, tick - self._sight.delay(exact.physics_hz))))
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
         for npc, error_x, error_y, error_speed in self._sight.glimpses(then.array, self._seed, tick):
@@ -283,8 +283,8 @@ class ImperfectSensor(Sensor):
 class Ads:
     """The ADS that a policy has made for one run."""
 
-    given: Any  # closed after the run
-    decides: Any  # receives the observations; or a vehicle class, which needs none
+    given: Any  # the return value of the factory, which is closed after the run
+    decides: Any  # the callable that receives the observations, or a vehicle class, which needs none
     sight: Sight | None
     drives_itself: bool  # true for a vehicle class, which a factory may also return
 
@@ -304,7 +304,7 @@ class Ads:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """The factory of a test's ADSs, or a vehicle class, with facts about it that are determined only once."""
+    """The factory of a test's ADSs, or a vehicle class, with cached facts about it."""
 
     factory: AdsFactory
 
@@ -354,7 +354,7 @@ class Policy:
         return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
 
     def _own(self, name: str) -> Any:
-        inner = inspect.unwrap(self.factory)  # the attributes of a class belong to its instances, the ADSs
+        inner = inspect.unwrap(self.factory)  # a class is a factory, but its attributes belong to its ADSs
         return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
@@ -364,7 +364,7 @@ CONSTANTS = (
     "POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY", "KP_HEADING",
     "KP_LATERAL", "MAX_STEERING_ANGLE", "KP_A",
 )  # fmt: skip
-# must be positive for the model; with other values, highway-env's code runs and gets NaN or worse
+# the constants that must be positive for the model; with other values, highway-env's own code runs
 POSITIVE = ("LENGTH", "WIDTH", "COMFORT_ACC_MAX", "DELTA", "LANE_CHANGE_DELAY")
 PURSUIT = 0.1  # the time constant of highway-env's steering [s], which is also the kernel's
 OF_UTILS = ("not_zero", "wrap_to_pi")  # the functions of highway_env.utils that the model calls
@@ -384,9 +384,9 @@ class IdmModel:
 
 
 def is_patched(cls: type) -> bool:
-    """Return whether a class of highway-env has functions that were added later, for example by a test."""
+    """Return whether functions were added to a class of highway-env, for example by a test."""
     module, qualname = cls.__module__, cls.__qualname__
-    for name, each in vars(cls).items():  # plain comparisons, because every run of a vehicle class asks
+    for name, each in vars(cls).items():  # simple comparisons, because every run of a vehicle class makes them
         if type(each) is FunctionType and (each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module):
             return True
     return False
@@ -407,7 +407,7 @@ def idm_model(ads: Any) -> IdmModel | None:
     if stock is None or not isinstance(cls, type) or not issubclass(cls, stock):
         return None
     # Only constants may differ from the stock class: other code would drive differently.
-    own = [base for base in cls.__mro__ if base not in stock.__mro__]  # a base may also stand behind the stock class
+    own = [base for base in cls.__mro__ if base not in stock.__mro__]  # a base may also follow the stock class
     only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
@@ -432,11 +432,11 @@ Check = Callable[[Any], Any]
 
 @dataclass(slots=True, kw_only=True)
 class Aside:
-    """The decisions that an ADS makes during a run without an effect on the run."""
+    """The decisions that an ADS makes during a run without affecting it."""
 
     asked: int = 0  # number of decisions that it really made
     answers: list[Any] = field(default_factory=list)  # one action per decision; None where it raised an error
-    at: Any = None  # its observation at the decision of a question, before the change
+    at: Any = None  # the observation at the decision of a question, before it is replaced
     conditions: list[Evaluated] = field(default_factory=list)  # evaluated at the decision of a question
 
     def action_at(self, number: int) -> Any:
@@ -445,16 +445,16 @@ class Aside:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A decision for which an observation is stored or replaced."""
+    """A decision whose observation is stored or replaced."""
 
     number: int
-    instead: Any = None  # replaces the observation; None to keep it
-    is_noted: bool = True  # false if the observation, which may be anything of a simulator, need not be stored
-    conditions: Conditions | None = None  # records the conditions that it evaluates there
+    instead: Any = None  # replaces the observation, unless None
+    is_noted: bool = True  # false if the observation, which may be any object of a simulator, need not be stored
+    conditions: Conditions | None = None  # records the conditions that the ADS evaluates in this decision
 
 
 class Shadow(Around):
-    """An ADS that decides without effect, because the run gets the recorded actions."""
+    """An ADS whose decisions have no effect, because the run gets recorded actions."""
 
     def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
         super().__init__(ads)
@@ -465,7 +465,7 @@ class Shadow(Around):
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
         if question is not None and question.instead is not None and question.number < number < len(self._actions):
-            # What it would decide here says nothing about the question.
+            # A decision here would not help to answer the question.
             aside.answers.append(self._actions[number])
             return self._actions[number]
         if question is not None and number == question.number:
@@ -477,7 +477,7 @@ class Shadow(Around):
         try:
             with recording:
                 answer = self._check(self._ads(observation))
-        except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
+        except Exception:  # noqa: BLE001  (an ADS may raise any error for an unusual observation)
             answer = None
         aside.answers.append(answer)
         return self._actions[number] if number < len(self._actions) else answer
@@ -486,7 +486,7 @@ class Shadow(Around):
 def beside(
     factory: AdsFactory, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None = None
 ) -> AdsFactory:
-    """Return a factory of ADSs that decide without effect, because the run gets the recorded actions."""
+    """Return a factory of ADSs whose decisions have no effect, because the run gets the recorded actions."""
     return wrap_ads(factory, lambda ads: Shadow(ads, actions, check, aside, question))
 
 
@@ -517,14 +517,14 @@ class Unseeing(Around):
 
 
 def check_by(ads: Any, check: Check) -> None:
-    """Give an ADS made by :func:`beside` the function that checks a run's actions."""
+    """Set the function that checks the actions of an ADS, if :func:`beside` has made the ADS."""
     shadow = ads._ads if isinstance(ads, Unseeing) else ads
     if isinstance(shadow, Shadow):
         shadow._check = check
 
 
 def without(factory: AdsFactory, npc: int) -> AdsFactory:
-    """Return a factory of the same ADSs that cannot see one NPC."""
+    """Return a factory of the same ADSs, which cannot see one NPC."""
     return wrap_ads(factory, lambda ads: Unseeing(ads, npc))
 
 
@@ -548,9 +548,9 @@ def wrap_ads(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
 
 
 def changed(observation: Observation, npc: int, by: tuple[float, float, float] | None) -> Observation:
-    """Return an observation in which one of the ``others`` has moved, or is hidden.
+    """Return an observation in which an NPC has moved or is hidden.
 
-    ``by`` is added to its x and y [m] and to its speed [m/s]; None hides it.
+    ``by`` is added to the NPC's x [m], y [m] and speed [m/s]. None hides the NPC.
     """
     place, others = observation.ids.index(npc), list(observation.others)
     ids, lateral = list(observation.ids), list(observation.lateral_velocities)
@@ -558,7 +558,7 @@ def changed(observation: Observation, npc: int, by: tuple[float, float, float] |
         del others[place], ids[place], lateral[place + 1]
     else:
         was, (x, y, speed) = others[place], by
-        # the nearest lane may be another one now
+        # the nearest lane may have changed
         aside = [abs(centre - (was.y + y)) for centre in observation.lane_centres]
         others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside)))
     return observation.replace(others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral))

@@ -1,4 +1,4 @@
-"""highway-env's road networks and vehicles as its own code sees them in a run, with the same results but faster."""
+"""Faster versions of highway-env's road networks and vehicles, with the same results."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.objects import Landmark
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
@@ -29,6 +27,8 @@ from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import (
     CircularLane,
     ControlledVehicle,
+    IDMVehicle,
+    Landmark,
     MDPVehicle,
     RegulatedRoad,
     RoadNetwork,
@@ -43,7 +43,7 @@ KINDS = (StraightLane, SineLane, CircularLane)  # in the order of the kinds of a
 
 
 def compiled_network(network: Any) -> Network | None:
-    """Return a road network of highway-env in plain numbers, or None if it has custom lanes."""
+    """Return a road network of highway-env for the kernel, or None if it has custom lanes."""
     lanes = network.lanes_dict()
     kinds = list[int]()
     shapes = list[Any]()
@@ -90,12 +90,12 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
 
 
 def is_regulated(vehicle: Vehicle) -> bool:
-    """Return whether highway-env's :class:`RegulatedRoad` may make a vehicle yield."""
+    """Return whether highway-env's :class:`RegulatedRoad` can make a vehicle yield."""
     return isinstance(vehicle, ControlledVehicle) and not isinstance(vehicle, MDPVehicle)
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """The regulated road of highway-env for runs in which only the ego, the first vehicle, may have to yield."""
+    """A regulated road of highway-env on which only the ego, the first vehicle, yields."""
 
     vehicles: list[Any]
 
@@ -109,8 +109,8 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
         if not is_regulated(ego):
             return
         self.vehicles = [ego]
-        super().enforce_road_rules()  # ends its yielding after the set time
-        for other in others:  # pairs of other vehicles need no check, because only the ego may yield
+        super().enforce_road_rules()  # ends the ego's yielding after the set time
+        for other in others:  # pairs of other vehicles need no check, because only the ego yields
             if self.is_conflict_possible(ego, other) and self.respect_priorities(ego, other) is ego:
                 ego.color = self.YIELDING_COLOR
                 ego.target_speed = 0
@@ -123,7 +123,7 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
     """A highway-env vehicle with highway-env's own physics, lane search and shape, and without goals."""
 
     @property
-    # highway-env's IDM uses it as the desired speed of a follower. An observer knows no more about an NPC.
+    # highway-env's IDM uses this as the desired speed of a follower. An observer cannot know more about an NPC.
     def target_speed(self) -> float:
         return float(self.speed)
 
@@ -135,12 +135,12 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
         super().act({"steering": steering, "acceleration": acceleration})
 
 
-# the attributes that a run sets of a vehicle of an environment's own traffic
+# the attributes that a run sets in vehicles of an environment's traffic class
 STATE = ("position", "heading", "speed", "action", "lane", "lane_index", "target_lane_index", "target_speed")
 
 
 def _copied(held: Any, protocol: Any) -> Any:
-    # Copies of a held vehicle, in which a planner simulates, must move: they get the class without HELD.
+    # A planner that simulates copies held vehicles. The copies must move, so they get the class without HELD.
     kind, seen = type(held), type(held).__base__
     made: Any = object.__reduce_ex__(held, protocol)
     make, given, *others = made
@@ -156,12 +156,12 @@ HELD: Mapping[str, Any] = MappingProxyType(
         "__reduce_ex__": _copied,
     }
 )
-# with these, a vehicle keeps the controls that it was given, whatever its class does, and looks for no contacts
+# with these, a vehicle keeps its controls, regardless of its class, and does not check for contacts
 MOVED: Mapping[str, Any] = MappingProxyType(
     {
         **{name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")},
         "handle_collisions": Vehicle.handle_collisions,
-        # Properties, because a vehicle may have others of its own.
+        # Properties, because the vehicle itself may have these attributes.
         "MAX_SPEED": property(lambda self: Vehicle.MAX_SPEED),
         "MIN_SPEED": property(lambda self: Vehicle.MIN_SPEED),
         "check_collisions": property(lambda self: False, lambda self, _: None),
@@ -170,7 +170,7 @@ MOVED: Mapping[str, Any] = MappingProxyType(
 
 
 class TrafficClass:
-    """The class of an environment's own traffic, with which the environment's code sees the NPCs."""
+    """The class of an environment's traffic, which the NPCs have in the environment's code."""
 
     def __init__(self, seen: Any, constants: Mapping[str, Any] = MappingProxyType({})) -> None:
         self.seen, self.constants = seen, constants
@@ -178,12 +178,12 @@ class TrafficClass:
 
     @cached_property
     def held(self) -> Any:
-        """The class of the vehicles during a reset, derived from their own."""
+        """The class that the vehicles have during a reset, derived from the traffic class."""
         return self._with(HELD)
 
     @cached_property
     def moved(self) -> Any:
-        """The class of the vehicles during a step of the road, derived from their own."""
+        """The class that the vehicles have during a step of the road, derived from the traffic class."""
         return self._with(MOVED)
 
     def __reduce__(self) -> Any:
@@ -197,7 +197,7 @@ class TrafficClass:
 def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
     """Return the class in ``config["other_vehicles_type"]``, after testing it next to the ego on a road.
 
-    ``changed`` has the constants that the environment has set, by class.
+    ``changed`` contains the constants that the environment has set, by class.
 
     Raises:
         Exception: if there is no such class, or if its vehicles cannot be put at the NPCs' positions.
@@ -216,7 +216,7 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
         raise TypeError(f"{seen.__name__}.__init__ does not set {', '.join(lacking)}")
     for name in vars(plain).keys() & STATE:
         setattr(made, name, getattr(made, name))
-    constants = dict[str, Any]()  # of the base classes first, as Python finds attributes
+    constants = dict[str, Any]()  # base classes come first, so that derived classes override their constants
     for each in reversed(seen.__mro__):
         constants = {name: value for name, value in constants.items() if name not in vars(each)}
         constants |= changed.get(each, {})
@@ -235,15 +235,15 @@ class Traffic:
         self._bodies, self._npcs = places.vehicles[1:], places.bodies[1:]
         self._is_controlled = traffic.is_controlled
         stock_road.vehicles = [ego]
-        # NPCs have routes if the environment plans one for its ego, or on its road with rules for all.
+        # NPCs have routes if the environment plans a route for its ego, or if its road is regulated.
         route, is_regulated = getattr(ego, "route", None), isinstance(stock_road, RegulatedRoad)
         for body, npc in zip(self._bodies, self._npcs, strict=True):
             made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
             vars(made).update(traffic.constants, LENGTH=body.length, WIDTH=body.width)
             made.diagonal = np.hypot(body.length, body.width)
-            made.check_collisions = traffic.seen is not StockVehicle  # which moves by itself, and must not crash
+            made.check_collisions = traffic.seen is not StockVehicle  # a StockVehicle must not react to contacts
             self.vehicles.append(made)
-            stock_road.vehicles.append(made)  # one by one, as an environment does, because a class may look for others
+            stock_road.vehicles.append(made)  # one by one, because a class may look for other vehicles
             if self._is_controlled and isinstance(npc, CrossingNpc) and (route or is_regulated):
                 *end, heading = npc.track.pose((len(npc.track.parts) - 1) * STEP)
                 made.plan_route_to(self._network.get_closest_lane_index(np.array(end), heading)[1])
@@ -264,10 +264,10 @@ class Traffic:
             self.show_targets()
 
     def show_targets(self) -> None:
-        """Update the targets of the vehicles to what the NPCs do now. The vehicles' lanes must be known."""
+        """Set the targets of the vehicles to those of the NPCs. The lanes of the vehicles must be current."""
         for each, npc in zip(self.vehicles if self._is_controlled else (), self._npcs, strict=False):
             lane, each.target_lane_index = each.lane_index, each.lane_index
-            # An NPC that is to stop has no speed of exactly 0, by which environments divide, as merge-v0 does.
+            # The target speed is never exactly 0, because environments such as merge-v0 divide by it.
             each.target_speed = float(not_zero(_target_speed(npc)))
             if isinstance(npc, Npc) and npc.executed and npc.heading_for != npc.lane:
                 x, y, heading = self._road.position(npc.x, npc.heading_for)
@@ -297,7 +297,7 @@ def straight_network(lanes: int, length: float, lane_width: float, speed_limit: 
 
 
 def straight_road(network: RoadNetwork) -> StraightRoad | None:
-    """Return the road of a network if it is one straight road along the x axis, else None."""
+    """Return the road of a network, or None if it is not one straight road along the x axis."""
     lanes = network.lanes_list()
     segments = [(start, end) for start, ends in network.graph.items() for end in ends]
     values = tuple(
@@ -352,7 +352,7 @@ class CompiledRoad:
             route = getattr(vehicle, "route", None)
             return -1 if not route or route[0][2] is None else int(route[0][2])
 
-        # asks highway-env's network, which shortens the vehicle's route
+        # highway-env's network shortens the vehicle's route in this call
         def following(lane: int, x: float, y: float) -> tuple[int, int]:
             here, route, random = np.array([x, y]), getattr(vehicle, "route", None), self._road.np_random
             after = network.next_lane(self._named[lane][0], route=route, position=here, np_random=random)
@@ -370,7 +370,7 @@ class CompiledRoad:
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
-        # sets defaults for what follows: lane and timer are the vehicle's
+        # sets default values; the lane and the timer of the vehicle replace them below
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.closest = self._numbers[vehicle.lane_index]
         body.timer = float(getattr(vehicle, "timer", body.timer))
@@ -411,7 +411,7 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():
         after = [(end, node) for node in graph.get(end, {})]
         before = [(node, origin) for node, ends in graph.items() if origin in ends]
-        for section in (*after, *before):  # if the road asks for it, lanes that follow and lanes that lead here
+        for section in (*after, *before):  # the lanes that follow and the lanes that lead here, if IDM looks there
             count = len(graph[section[0]][section[1]])
             index = (*section, lane if lane < count else 0)
             begins = lanes[origin, end, lane].length if section in after else -lanes[index].length

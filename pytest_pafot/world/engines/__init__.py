@@ -1,1 +1,1 @@
-"""Runs of scenarios: by one loop for every kind of ego, or by ``env.step``, which confirms findings."""
+"""Engines that run scenarios: one loop for all kinds of egos, and ``env.step``, which confirms findings."""

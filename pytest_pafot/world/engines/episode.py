@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_pafot.algorithms.evaluation import IMMEDIATE
 from pytest_pafot.model.trace import AdsError
-from pytest_pafot.searching.evaluation import IMMEDIATE
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.environment import (
@@ -42,14 +42,14 @@ LONGEST = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """The result of an episode.
+    """The result of one episode of an environment.
 
     Attributes:
         seed: seed of the episode.
         crashed: whether highway-env flagged the ego as crashed, even if the flag was cleared within the step.
-        error: error that ended the episode: of a policy that hung or returned no action, or an exception.
-        undriven: why the episode does not count: what ended it without a crash within its first second or step, or that
-            the ego never moved. Empty if the policy drove.
+        error: error that ended the episode: an exception, a hang or an invalid action.
+        undriven: reason why the episode does not count: it ended without a crash in its first second or step, or the
+            ego never moved. Empty if it counts.
     """
 
     seed: int
@@ -59,7 +59,7 @@ class Episode:
 
 
 def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False) -> Episode:
-    """Run an episode of a world's own traffic with a new policy.
+    """Run one episode of a world's environment, with its own traffic and a new policy.
 
     Args:
         world: world with the environment.
@@ -76,14 +76,14 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
     with vehicle_classes_kept(), HangGuard(limit) as guard, EnvironmentGuard(limit) as around:
         outer = environment.make(has_traffic=True)
         env = outer.unwrapped
-        observe_by(env, lambda: observer(env)())  # noqa: PLW0108  (a reset makes the road only later)
+        observe_by(env, lambda: observer(env)())  # noqa: PLW0108  (only a reset makes the road)
         try:
             with environment.in_time():
                 seen, _ = outer.reset(seed=seed)
         except WorldError:
             raise
         except Exception as wrong:
-            expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
+            expected = f"that {environment.env_id}, with its wrappers, can be reset with the seed {seed}"
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
         view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
@@ -107,7 +107,7 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
 
 
 def _watching(env: Any) -> Watch:
-    # Within each step, too, because the environment or a wrapper may reset the ego before the step ends.
+    # Also watch within each step, because the environment or a wrapper may reset the ego before the step ends.
     start, simulate, done = tuple(env.vehicle.position), env._simulate, set[str]()
     road_step, known = env.road.step, dict[str, Any]()
 
@@ -162,7 +162,7 @@ def _drive_beside(
 ) -> tuple[int, AdsError | None]:
     """Run an episode in which a vehicle class, or a planner's car, replaces the environment's ego.
 
-    Return the number of steps, and an error of the planner.
+    Return the number of steps, and the error of the planner or None.
     """
     old, kind = env.vehicle, made.decides if made.drives_itself else StockVehicle
     ego = kind(env.road, old.position, old.heading, old.speed)
@@ -171,7 +171,7 @@ def _drive_beside(
     env.controlled_vehicles = [ego]
     env.define_spaces()
     env.observation_type.observe = lambda: 0.0
-    if type(env).__module__.startswith("highway_env."):  # whose rewards may need an action, and nothing reads them
+    if type(env).__module__.startswith("highway_env."):  # nothing reads its rewards, which may need an action
         env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:
@@ -179,7 +179,7 @@ def _drive_beside(
     for steps in itertools.count(1):
         with around.call():
             _, _, *ends, _ = env.step(None)
-        body_of(ego)  # it raises BadAction for NaN
+        body_of(ego)  # raises BadAction for NaN
         if errors or "crashed" in watch() or any(ends) or steps >= _steps(env):
             break
     return steps, next(iter(errors), None)
@@ -188,13 +188,13 @@ def _drive_beside(
 def _connect_planner(
     env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, errors: list[AdsError]
 ) -> Callable[..., None]:
-    # The planner sees the vehicles that were there at the start. After an error, its car keeps its controls until the
-    # end of the step.
+    # The planner sees the vehicles that exist at the start. After an error of the planner, its car keeps its controls
+    # until the end of the step.
     road, hz = straight_road(env.road.network), int(env.config["simulation_frequency"])
     if road is None:
         raise WorldError(
             f"world: expected a straight road for a planner in SI units, received the road of {type(env).__name__}; "
-            "give a policy with the environment's own observations and actions, or a vehicle class"
+            "use a policy with the environment's own observations and actions, or a vehicle class"
         )
     ego, every = env.vehicle, hz // PLANNER_HZ or 1
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]

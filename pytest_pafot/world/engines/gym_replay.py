@@ -1,10 +1,10 @@
-"""Runs of a scenario by ``env.step`` of a registered highway-env environment.
+"""Runs of scenarios with ``env.step`` of a registered highway-env environment.
 
 This module confirms findings with highway-env's own road, vehicles, observations, action types and frames. Only these
 parts are the package's own: the director of the NPCs, called in the road's ``act``; the test for contact, called after
 each step of the road; the record; and the observations and controls of planners in SI units.
 
-Environments with wrappers or a user's ``step`` have no other engine.
+This is the only engine for environments with wrappers or a user's ``step``.
 """
 
 from __future__ import annotations
@@ -120,10 +120,10 @@ class StockPolicy(GuardedDriver):
             self._see(lambda: self.outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
-        # An exception of a wrapper is raised later, in the next decision.
+        # An exception of a wrapper is raised again in the next decision.
         try:
             self._seen, *others = result = call()
-            self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only an info in addition
+            self.is_over = len(others) != 1 and _has_ended(result)  # a reset only returns an info in addition
         except UNFIT as error:
             if self.outer is self.outer.unwrapped or isinstance(error, AdsHang):
                 raise
@@ -137,14 +137,14 @@ class StockPolicy(GuardedDriver):
 def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> tuple[Any, ...]:
     """Reset an environment and its wrappers, but leave all vehicles where they are, and return the result.
 
-    ``objects`` are what ``_reset`` has put on the road. ``hold`` prevents code from moving NPCs. It is called before a
-    user's ``reset``, and after highway-env's own.
+    ``objects`` are the objects of ``_reset``. ``hold`` prevents code from moving NPCs. It is called
+    before a user's ``reset``, and after highway-env's own.
     """
     plain = outer.unwrapped
 
     # highway-env's `_reset` would make new vehicles, so this function replaces it.
     def in_place_of_the_reset() -> None:
-        plain.road.objects = list(objects)  # to which the environment's own `reset` may add
+        plain.road.objects = list(objects)  # a copy, because the environment's own `reset` may add objects
         if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
             give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
 
@@ -153,8 +153,8 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
         hold()
         return result
 
-    # A user's `reset` runs, and highway-env's part of it calls the replaced `_reset`. The effects of highway-env's own
-    # `reset` are repeated instead, and NPCs are held afterwards.
+    # A user's `reset` is called, and its call of highway-env's `reset` calls the replaced `_reset`. Otherwise, the
+    # effects of highway-env's `reset` are repeated, and NPCs are held afterwards.
     if type(plain).reset is AbstractEnv.reset:
         plain.reset = in_place_of_highway_envs
     else:
@@ -169,7 +169,7 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
 
 
 def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
-    # As highway-env's own reset returns it, with the configuration that wrappers have set.
+    # Return the result of highway-env's own `reset`, with the configuration that wrappers have set.
     env.configure((options or {}).get("config"))
     env.define_spaces()
     env._reset()
@@ -227,7 +227,7 @@ def replay_environment(
             HangGuard(rules.hang_limit),
         )
         driver = StockPolicy(ads.policy, seen, ego, rules.every, guard, view)
-        limit = environment.step_limit if environment.wrappers is None else None  # else wrappers count themselves
+        limit = environment.step_limit if environment.wrappers is None else None  # with wrappers, these count the steps
         vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
         return _Loop(vehicles, env, driver, guard, traffic, objects, limit).run()
 
@@ -239,7 +239,7 @@ def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = 
     """
     env = outer.unwrapped
     if environment is not None:
-        env.config |= copy.deepcopy(environment.config_of_wrappers)  # for the road, which is that of this reset
+        env.config |= copy.deepcopy(environment.config_of_wrappers)  # because this reset makes the road
     objects, put = list[Any](), env._reset
 
     def noting_objects() -> None:
@@ -284,10 +284,10 @@ def _si_run(
 
 
 class EpisodeEnds(OwnEnds):
-    """The ends of an episode by steps of an environment and its wrappers, for a run that moves its vehicles itself.
+    """The ends of an episode in ``step`` of an environment and its wrappers, for a run that moves the vehicles itself.
 
-    A step does everything but the simulation, which the run replaces. So each end occurs at the tick of ``env.step``,
-    unless it depends on the action. Each step gets an action that changes nothing, if there is one.
+    The run replaces only the simulation in ``step``. So an episode ends at the same tick as with ``env.step``, unless
+    this depends on the action. Each step gets an action that changes nothing, if there is one.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class EpisodeEnds(OwnEnds):
         self._error: AdsError | None = None
 
     def _reset(self, objects: Sequence[Any], seed: int, vehicles: VehiclesOfRun) -> None:
-        """Reset the environment, and let the run replace its simulation from now on."""
+        """Reset the environment, and replace its simulation with that of the run."""
         outer, env = self._outer, self._env
         _reset_in_place(outer, seed, objects, _nothing)
         self._put = showing(self._environment, env, vehicles)
@@ -339,9 +339,9 @@ class EpisodeEnds(OwnEnds):
             failed = error_of(error, self.asked, self._guard).text
             self.ended, self.has_failed = f"{end_of(self._outer)} failed: {failed}", True
         else:
-            if loop.tick == self.asked:  # a step of the user's own that simulates nothing
+            if loop.tick == self.asked:  # a user's step that simulates nothing
                 self._simulate()
-            if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
+            if not self.has_failed:  # a method that ended the episode keeps its name, unless a wrapper continues
                 self.ended = (self.ended or end_of(self._outer)) if is_over else ""
         return self._error
 
@@ -363,7 +363,7 @@ class EpisodeEnds(OwnEnds):
 def episode_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> EpisodeEnds:
-    """Start an episode of a wrapped environment for a run whose ego is not one of its vehicles."""
+    """Return the ends of a wrapped environment for a run with an ego from outside the environment."""
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
@@ -371,7 +371,7 @@ def episode_beside(
 
 
 def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
-    """Let a call replace a method of an environment.
+    """Replace a method of an environment by a call.
 
     A copy of the environment, in which a user's code looks ahead, keeps the original method.
     """
@@ -393,7 +393,7 @@ def _has_ended(result: Sequence[Any]) -> bool:
 
 
 def end_of(outer: Any) -> str:
-    """Return what ends an episode in a step if no method of the environment does: a limit of steps, or wrappers."""
+    """Name the limit of steps, the wrappers or the ``step`` that ended an episode, if no other method did."""
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
@@ -405,7 +405,7 @@ def _nothing(*_: Any, **__: Any) -> None:
 
 
 class _Loop:
-    """One episode. The road's ``act`` also calls the director of the NPCs, and its ``step`` makes the record."""
+    """The loop of an episode. The road's ``act`` also calls the director of the NPCs, and its ``step`` records them."""
 
     def __init__(
         self,
@@ -442,7 +442,7 @@ class _Loop:
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
         self._ends: OwnEnds | None = None
         if (ends := vehicles.rules.ends) is not None:
-            # A run that is no episode asks by itself, because its steps may be shorter than decisions of the policy.
+            # If the run is no episode, it calls the methods itself, because its steps may be shorter than decisions.
             is_episode = isinstance(driver, StockPolicy)
             self._ends = OwnEnds(env, ENDS if is_episode else ends, vehicles.rules, guard)
             for name in ENDS:
@@ -501,8 +501,8 @@ class _Loop:
             self._check_objects()
             if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
                 raise WorldError(
-                    f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
-                    f"did not, at {tick / self._run.rules.physics_hz:.1f} s; remove wrappers that end or reset "
+                    f"wrappers: expected that each step of the wrappers steps the environment, received a step at "
+                    f"{tick / self._run.rules.physics_hz:.1f} s that did not; remove wrappers that end or reset "
                     f"episodes"
                 )
             if self._ends is not None and not self._is_over:
@@ -515,7 +515,7 @@ class _Loop:
                 ends.ended = f"max_episode_steps={self._step_limit}"
             elif driver.is_over and not ends.ended:
                 ends.ended = end_of(driver.outer)
-            elif not driver.is_over and not ends.has_failed:  # a wrapper goes on
+            elif not driver.is_over and not ends.has_failed:  # a wrapper continues
                 ends.ended = ""
         elif run.loop.tick % ends.every == 0:
             road, self._env.road.vehicles = self._env.road, [self._env.vehicle, *self._traffic.vehicles]
@@ -538,7 +538,7 @@ class _Loop:
         return hz
 
     def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
-        """Make all NPCs of a policy's run instances of a class of the environment's traffic."""
+        """Set the class of all NPCs, in runs of a policy, to one of the traffic's classes."""
         for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
             npc.__class__ = getattr(self._class, name)
 
@@ -578,7 +578,7 @@ class _Loop:
         return " in ".join([type(self._env).__name__, *wrappers])
 
     def _moved_npc(self) -> str:
-        """Describe how the environment has moved an NPC since the last tick; return an empty string if it has not."""
+        """Describe how the environment has moved an NPC since the last tick, or return an empty string."""
         for number, (vehicle, body) in enumerate(zip(self._vehicles[1:], self._bodies[1:], strict=True)):
             if vehicle.speed != body.speed:
                 return f"sets the speed of NPC {number} from {body.speed:.1f} to {vehicle.speed:.1f} m/s"
@@ -592,19 +592,19 @@ class _Loop:
         if known == found:
             return
         (x, y, *_), seconds = min(known ^ found), self._run.loop.tick / self._run.rules.physics_hz
-        what = "more" if found > known else "fewer" if found < known else "others"
+        what = "more" if found > known else "fewer" if found < known else "other"
         raise WorldError(
             field="env_id",
             expected="an environment with fixed objects that are on the road after a reset with seed 0 and stay there",
-            received=f"{type(self._env).__name__}, with {what} at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
-            fix="create all of them in `_reset`, or at the same positions in each `reset`; use an NPC for what appears "
-            "or moves",
+            received=f"{type(self._env).__name__}, with {what} objects at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
+            fix="create all objects in `_reset`, or at the same positions in each `reset`; use an NPC for an object "
+            "that appears or moves",
         )
 
     def _act(self) -> None:
         # Replaces `Road.act`, which calls each vehicle's `act`. A user's `act` is called for its effect on the ego.
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
-        # A `reset`, in which they are held, may call the environment's `step`; a road's own `act` may call theirs.
+        # A `reset`, in which NPCs are held, may call the environment's `step`. A road's own `act` may call their `act`.
         self._make_npcs("seen" if self._road_act is None else "moved")
         if self._road_act is not None and isinstance(driver, StockPolicy):
             self._road_act()
@@ -612,7 +612,7 @@ class _Loop:
             driver.actuate()
             if isinstance(driver, PlannerDriver):
                 vehicle.control(ego.acceleration, ego.steering)
-            if self._road_act is not None:  # the ego has acted, which a class of the user's own may do only once
+            if self._road_act is not None:  # the ego has acted, and a user's class may act only once
                 act = vehicle.act
                 vehicle.act = lambda action=None: None if action is None else act(action)
                 self._road_act()
@@ -636,16 +636,16 @@ class _Loop:
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
                 follow(body, vehicle)
         except UNFIT as error:
-            if isinstance(error, AdsHang) and self._around.interruption is not None:  # of this step as a whole
+            if isinstance(error, AdsHang) and self._around.interruption is not None:  # it interrupts the whole step
                 raise
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed
             return
         try:
-            if not self._moved:  # else the environment is refused after its step
+            if not self._moved:  # if the environment has moved NPCs, it is rejected after its step
                 accelerations = [body.acceleration for body in self._bodies]
                 self._plausibility.check(self._states(), f"{self._who}.step", accelerations)
-        except Implausible as fault:  # the environment goes on to the end of its step, but not the run
+        except Implausible as fault:  # the run ends, but not the environment's step
             self._run.ended, self._run.has_failed = str(fault), True
             return
         loop.moved()

@@ -1,7 +1,7 @@
 """Runs of policies and vehicle classes in an environment.
 
-Each run has a copy of the environment, which the ego's driver and its observations read. The loop moves the vehicles,
-without ``step`` of the environment or its road.
+Each run has a copy of the environment, which the driver of the ego and the observations read. The loop moves the
+vehicles and does not call ``step`` of the environment or the road.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ def rollout(
 ) -> Trace:
     """Simulate a scenario with a vehicle class or a policy.
 
-    ``own_ends`` returns what may end a run whose ego is not one of the environment's vehicles, like
-    :func:`ends_beside`.
+    ``own_ends`` is a function like :func:`ends_beside`, which is called for a vehicle class.
     """
     with ExitStack() as at_the_end:
         # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
@@ -66,7 +65,7 @@ def rollout(
             start = rules.ego_position(scenario)
             given = built_as(rules.ego, ads.given)
             ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
-            # On a straight road, the kernel's IDM knows no objects, and no rules of who has to yield.
+            # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
             has_more = isinstance(lanes, StraightRoad) and (env.road.objects or isinstance(env.road, EgosRegulatedRoad))
             if idm_model(given) is None or lanes is None or has_more:
                 if rules.ends:
@@ -90,7 +89,7 @@ def rollout(
 def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
-    """Return the environment's own ends for a run whose ego is not one of its vehicles, or None if it has none."""
+    """Return the ends of an environment for a run with an ego from outside the environment, or None."""
     if not rules.ends:
         return None
     env = _env_of(environment, scenario)
@@ -126,7 +125,7 @@ def _run_driver(
     if own_ends is not None and rules.ends_in_steps:
         ends = own_ends(rules, scenario, vehicles, driver.guard)
     elif own_ends is not None and rules.ends:
-        # The ego sees NPCs without goals, and the ends see them as the environment's own traffic on a copy of the road.
+        # The ego sees NPCs without goals. The environment's methods see them as its own traffic, on a copy of the road.
         env.road = copy.copy(env.road)
         traffic = Traffic(environment.traffic, env.road, env.vehicle, vehicles.places, rules.road)
         ends = OwnEnds(env, rules.ends, rules, driver.guard, traffic.show)
@@ -138,7 +137,7 @@ def _run_driver(
 def put_ego(env: Any, ego: Any) -> None:
     """Make ``ego`` the only vehicle of an environment, instead of the ego of its reset.
 
-    It receives what the environment has added to its own ego, such as a goal.
+    It gets the attributes that the environment has added to its own ego, such as a goal.
     """
     own = env.vehicle
     for name, value in vars(own).items():
@@ -152,7 +151,7 @@ def put_ego(env: Any, ego: Any) -> None:
 
 
 def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    """Put the ego of a policy into an environment, with the class that the actions require, or that the reset used.
+    """Put the ego of a policy into an environment, with the usual class for its actions or the class of its reset.
 
     Raises:
         WorldError: if the class cannot be called as highway-env calls the classes of its actions.
@@ -168,7 +167,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     except TypeError as error:
         raise WorldError(
             field="env_id",
-            expected="an ego whose class can be called with (road, position, heading, speed), to start anywhere",
+            expected="an ego whose class can be called with (road, position, heading, speed), to start at any position",
             received=f"{type(own).__name__}{signature} ({error})",
             fix="give its other arguments defaults",
         ) from None
@@ -184,7 +183,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
-    # Runs may nest, so each has a road, a time and random numbers of its own.
+    # Runs may nest, so each has its own road, time and random numbers.
     env = copy.copy(environment.unwrapped)
     env.np_random = rng_of(scenario.seed)
     env.time = env.steps = 0
@@ -194,20 +193,20 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     if environment.own_state:
         first = environment.unwrapped
         there = [(first, env), (first.road, env.road), *zip(first.road.objects, env.road.objects, strict=True)]
-        # The ego stays the one of the reset, by which `put_ego` finds it.
+        # The ego of the reset is not copied, because `put_ego` looks for it.
         known = {id(old): new for old, new in [*there, (first.vehicle, first.vehicle)]}
         vars(env).update(copy.deepcopy({name: vars(first)[name] for name in environment.own_state}, known))
     return env
 
 
 def usual_class(action_type: Any) -> Any:
-    """Return the class of the ego that actions are made for."""
+    """Return the class of the ego for which an action type is made."""
     vehicle_class = action_type.vehicle_class
     return vehicle_class.func if isinstance(vehicle_class, functools.partial) else vehicle_class
 
 
 def give_speeds(ego: Any, speeds: Any) -> None:
-    """Give the speeds of actions to an ego that has them, as highway-env does."""
+    """Set the target speeds of an ego that chooses between speeds, as highway-env does."""
     if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)

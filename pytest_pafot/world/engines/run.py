@@ -36,12 +36,12 @@ from pytest_pafot.world.run_config import Rules, starts_of
 
 
 class VehiclesOfRun:
-    """The vehicles of one run at their starts, the ego first, and the record of their states.
+    """The vehicles of one run, the ego first, and the record of their states.
 
     ``stock_road`` returns the road as a road of highway-env, which not every run needs.
     """
 
-    # The part of the environment that has ended the run, see `Trace.ended`.
+    # The part of the environment that has ended the run; see `Trace.ended`.
     ended = ""
     # True if that part raised an error, or moved a vehicle in an impossible way.
     has_failed = False
@@ -61,12 +61,12 @@ class VehiclesOfRun:
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         self.vehicles = [ego, *npcs]
-        # `places` maps vehicles to the road. Its obstacles must not overlap the ego.
+        # `places` maps vehicles to the road. Its obstacles must not overlap with the ego.
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
         self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
-            if overlap(ego, box):  # an ego that is longer than the rules know
+            if overlap(ego, box):  # the ego is longer than in the rules
                 rules.refuse_start(scenario, each)
         self.sizes = [(each.length, each.width) for each in self.vehicles]  # [m]
         # Not zeroed, which would take a fortieth of a run: the loop writes each row before anything reads it.
@@ -78,7 +78,7 @@ class VehiclesOfRun:
             self.loop.simulation.close()
 
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
-        """Return the trace up to the current tick; ``error`` is an error of the policy that ended the run."""
+        """Return the trace up to the current tick. ``error`` is the policy's error that ended the run, if any."""
         loop, places, count = self.loop, self.places, len(self.sizes)
         has_touched = loop.ego_touched or loop.npcs_touched
         # A jump of a speed in the last tick is an error of the user's code, unless a collision explains it.
@@ -95,10 +95,10 @@ class VehiclesOfRun:
             track = np.array(places.track).reshape(ticks, count, -1)[: shape[0]]
         if len(places.on_way):
             on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
-        # The outcome: errors come first, then what has ended the loop, and the road only if nothing else has.
+        # The outcome: errors have priority over events that end the loop, and these over leaving the road.
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
-        outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
+        outcome = Outcome.COMPLETED if off_road_tick is None else Outcome.OFF_ROAD
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
         elif self.has_failed:
@@ -139,7 +139,7 @@ class VehiclesOfRun:
         # The side is decided by the positions before the impact.
         before, ego = self._boxes(states[max(tick - 1, 0)]), states[-1, 0]
         if not touching:
-            # The ego has hit a fixed object, the one with the largest overlap.
+            # The ego has hit a fixed object. Take the object with the largest overlap.
             speed, objects = float(ego[SPEED]), [each for each in self.places.obstacles if overlap(now[0], each)]
             return Collision(
                 tick=tick,
@@ -203,21 +203,21 @@ class VehiclesOfRun:
             error = ends.step(lambda: loop.run(driver, min(loop.tick + ends.every, ticks)), loop)
             if error is not None or loop.is_over:
                 return error
-            if loop.tick < ticks:  # else it has lasted for its whole time
+            if loop.tick < ticks:  # else the run has its full duration
                 self.ended, self.has_failed = ends.ended, ends.has_failed
         return None
 
 
 class OwnEnds:
-    """The methods by which an environment ends its episodes, called after each of its steps in a run.
+    """The methods with which an environment ends episodes. They are called after each step of a run.
 
-    ``show`` moves the vehicles of the environment to those of the run.
+    ``show`` updates the vehicles of the environment to the state of the run.
     """
 
     def __init__(
         self, env: Any, names: Sequence[str], rules: Rules, guard: HangGuard, show: Callable[[], None] | None = None
     ) -> None:
-        self.every = rules.step_ticks  # of a step of the environment
+        self.every = rules.step_ticks  # the ticks of a step of the environment
         # The method that has ended the run (with its error), whether it raised one, and the tick of the last calls.
         self.ended, self.has_failed, self.asked = "", False, 0
         self._env, self._guard, self._show = env, guard, show
@@ -228,7 +228,7 @@ class OwnEnds:
         self._time = 0.0
 
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
-        """Run a step of the environment with ``move``, call all methods, and return an error of the policy."""
+        """Run a step of the environment with ``move``, call all methods, and return the policy's error or None."""
         error = move()
         if error is None and not loop.is_over:
             self.ask(loop.tick)
@@ -245,7 +245,7 @@ class OwnEnds:
                 self.says(name)
 
     def says(self, name: str) -> bool:
-        # An error that the method raises ends the run, too.
+        # If the method raises an error, this also ends the run.
         method = _method_name(self._env, name, self._methods[name])
         config = self._env.config
         longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
@@ -271,7 +271,7 @@ def _method_name(env: Any, name: str, method: Any) -> str:
 
 @contextmanager
 def _options(config: dict[str, Any], **given: Any) -> Iterator[None]:
-    # In place, because a method may count in the configuration.
+    # In place, because a method may use the configuration for a counter.
     before = {name: config[name] for name in given}
     config.update(given)
     try:
@@ -292,7 +292,7 @@ def planner_run(
 ) -> tuple[VehiclesOfRun, PlannerDriver]:
     """Set up a run of a planner in SI units.
 
-    ``decisions`` replace its first calls. ``body`` is the ego, if it is not the usual one.
+    ``decisions`` replace the first calls of the planner. ``body`` is the ego, unless a usual body suffices.
     """
     decides, sight = ads_and_sight(ads)
     ego = body or Body(rules.ego.length, rules.ego.width)
@@ -310,9 +310,9 @@ def planner_driver(
     *,
     rules: Rules | None = None,
 ) -> PlannerDriver:
-    """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`.
+    """Return the driver of an ego for a planner in SI units.
 
-    ``sight`` is None for perfect perception. ``rules`` may have another decision rate than the rules of the run.
+    ``sight`` is None for perfect perception. ``rules`` can have another decision rate than the rules of the run.
     """
     rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
     rates = rules.physics_hz, rules.every
@@ -350,9 +350,9 @@ def vehicle_run(
 
 
 def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
-    """Return a vehicle class of highway-env, or a ``functools.partial`` of one, as an ego of a vehicle type.
+    """Return a highway-env vehicle class, or a ``functools.partial`` of one, with the properties of a vehicle type.
 
-    A car has the size of the class.
+    The type ``car`` does not change the class.
 
     Raises:
         WorldError: if the class has another size.
@@ -366,7 +366,7 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
     if own not in (size, (CAR.length, CAR.width)):
         name = vehicle_class.__name__
         expected = f"the size of {name}, {own[0]:g} x {own[1]:g} m"
-        fix = f"omit ego= of the world, or LENGTH and WIDTH of {name}"
+        fix = f"omit ego= in the world, or LENGTH and WIDTH in {name}"
         raise WorldError(field="ego", expected=expected, received=kind.described, fix=fix)
 
     def clip_actions(self: Any) -> None:
@@ -375,7 +375,7 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
         self.action["acceleration"], self.action["steering"] = kind.limited(*wanted, self.speed)
 
     namespace: dict[str, Any] = {"LENGTH": size[0], "WIDTH": size[1], "__module__": vehicle_class.__module__}
-    if kind.has_limits:  # else the kernel drives a class that only sets constants
+    if kind.has_limits:  # without limits, the class only sets constants, so the kernel can drive it
         namespace["clip_actions"] = clip_actions
     return type(vehicle_class)(vehicle_class.__name__, (vehicle_class,), namespace)
 

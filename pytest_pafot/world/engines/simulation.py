@@ -36,10 +36,10 @@ CLOSING = 10.0
 # The largest difference between the first state of a vehicle and the requested one [m, m, rad, m/s].
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 # In its first tick, a vehicle of at least `MOVES` [m/s] must move in the direction of its heading, as far as its speed
-# says, except for this proportion of the distance and a change of speed [m/s^2].
+# implies. The tolerance is this proportion of the distance, and this change of speed [m/s^2].
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
-# One run only shows that something is wrong. This function finds the attribute, by experiments.
-CAUSE = "pytest_pafot.testing.check_world(world) looks for the cause"
+# One run only shows that something is wrong. This function finds the wrong attribute by experiments.
+CAUSE = "To find the cause, call pytest_pafot.testing.check_world(world)"
 Headings = Literal[
     "x to y", "x to -y", "y to -x", "y to x", "-x to -y", "-x to y", "-y to x", "-y to -x",
 ]  # fmt: skip
@@ -100,23 +100,24 @@ class _Hz:
 class Simulator(ABC):
     """The base class of a user's simulator, for :class:`pytest_pafot.SimulatorWorld`.
 
-    One object simulates many runs, one after the other. :meth:`start` starts each of them. All values are in the units
-    and axes that the class attributes state.
+    One object simulates many runs, one after the other. :meth:`start` starts each run. All values are in the units and
+    axes that the class attributes declare.
 
     Attributes:
         dt: duration of a tick [s], from 0.001 to 0.2. None if you set ``hz``.
         hz: ticks per second, from 5 to 1000. The default is 15, or 1 / ``dt``.
-        lanes: number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre lines
-            of all lanes from the left, each with at least two points (x, y) in the direction of driving.
+        lanes: number of parallel straight lanes; the x axis is the centre of lane 0, the leftmost. For lanes of other
+            shapes, a list of their centre lines from the left, each with at least two points (x, y) in the direction of
+            driving.
         lane_width: width of a lane. None for 4 m.
         speed_limit: speed limit. None for 26.8 m/s.
         length: length of the road if ``lanes`` is a number. None if it has no end.
-        start_lane, start_speed, start_at: on a curved road, lane of the ego at the start, its speed (None for 22 m/s or
-            the limit), and its position along the lane (None for the first one with enough road behind it).
+        start_lane, start_speed, start_at: lane, speed and position along the lane of the ego at the start on a curved
+            road. None for a speed of 22 m/s or the limit, and for the first position with enough road behind the ego.
         obstacles: fixed objects: x and y of the centre, heading, length and width of each.
         y_is_left: True if y is positive to the left of a vehicle that drives along x.
-        headings: axis along which headings are 0, and axis along which they are a quarter turn, such as ``"x to y"``.
-            For a compass with x to the east and y to the north: ``"y to x"``. With a minus: ``"x to -y"``.
+        headings: axis with heading 0, and axis with a heading of a quarter turn, such as ``"x to y"`` or ``"x to -y"``.
+            A compass is ``"y to x"`` if x points to the east and y to the north.
         degrees: True if angles are in degrees.
         reference: point of a vehicle at x and y: the ``"centre"`` of its box, or the middle of its ``"front"`` or
             ``"rear axle"``.
@@ -154,29 +155,29 @@ class Simulator(ABC):
 
     @abstractmethod
     def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
-        """Start a run with these vehicles, the ego first. All randomness must follow from ``seed``."""
+        """Start a run with these vehicles, the ego first. All randomness must depend on ``seed`` alone."""
 
     @abstractmethod
     def step(self, controls: Sequence[Control]) -> None:
-        """Move all vehicles by a tick, with a control for each, the ego's first."""
+        """Advance all vehicles by one tick. ``controls`` has one control per vehicle, the ego's first."""
 
     @abstractmethod
     def states(self) -> Any:
-        """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
+        """Return x, y, heading and speed of each vehicle, in shape [vehicles, 4] with the ego first."""
 
     def observe(self) -> Any:
-        """Return the input of the policy of a ``native`` simulator. It is called before each decision.
+        """Return the input of a ``native`` simulator's policy, before each of its decisions.
 
-        With a parameter ``hidden``, the index of an NPC or None, it can hide this NPC from the policy. Reports need
-        this to find out whether an action depends on a vehicle.
+        The method can have a parameter ``hidden``, the index of an NPC or None. It must then hide this NPC from the
+        policy. Reports need this to find out whether an action depends on a vehicle.
         """
         raise NotImplementedError
 
     def check_action(self, action: Any) -> Any:
-        """Return an action of the policy of a ``native`` simulator in the form for :meth:`step` and the trace.
+        """Check an action of a ``native`` simulator's policy, and return it for :meth:`step` and the trace.
 
         Raises:
-            ValueError: if it is not an action. The run then ends as an error of the policy. By default, only None is
+            ValueError: if it is not an action. The run then ends with an error of the policy. By default, only None is
                 rejected.
         """
         if action is None:
@@ -207,7 +208,7 @@ class Frame:
         self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense
         self.angle = math.pi / 180 if simulator.degrees else 1.0
         self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
-        # The point of reference is a share of the length ahead of the centre, or a distance behind it.
+        # The point of reference is a fraction of the length ahead of the centre, or a distance behind it.
         self._share, self._behind = 0.5 * (simulator.reference == "front"), simulator.rear_axle_offset or 0.0
         x, y, heading = origin
         self._x, self._y, self._heading = x, y, heading
@@ -232,7 +233,7 @@ class Frame:
     def stated(self, body: Any) -> tuple[float, float, float, float]:
         """Convert the state of a body to the units and axes of the simulator."""
         x, y, heading = body.x, body.y, body.heading
-        # The opposite steps in the opposite order.
+        # The steps of `state` are undone in reverse order.
         if ahead := self._share * body.length - self._behind:
             x += ahead * math.cos(heading)
             y += ahead * math.sin(heading)
@@ -257,7 +258,7 @@ class RepeatedBody(Body):
     def step(self, dt: float) -> None:
         driver = self.repeats
         if driver is not None and self._tick < self._until:
-            self.steering = self._steering  # it holds, but the driver that takes over has set its own
+            self.steering = self._steering  # of the last decision; the driver that takes over has set another
             if self._tick % driver.every == 0:
                 driver.decide(self._tick)
             driver.actuate()
@@ -267,7 +268,7 @@ class RepeatedBody(Body):
 
 
 class OwnUnits(tuple[Any, ...]):
-    """A tuple as a native action. Its numbers are not acceleration and steering in SI units."""
+    """A native action that is a tuple, but not acceleration and steering in SI units."""
 
     __slots__ = ()
 
@@ -319,7 +320,7 @@ class NativeDriver(PlannerDriver):
     def _check_action(self, action: Any) -> Any:
         simulator = self._loop.simulation.simulator
         try:
-            Simulator.check_action(simulator, action)  # which refuses None, whatever the simulator's own does
+            Simulator.check_action(simulator, action)  # rejects None, even if the user's method does not
             checked = simulator.check_action(action)
         except ValueError as error:
             raise BadAction(str(error)) from error
@@ -334,8 +335,8 @@ class NativeDriver(PlannerDriver):
         simulation = self._loop.simulation
         if self._action is None:
             place = f"{type(simulation.simulator).__name__}.check_action"
-            fix = "is a `return` missing in it?"
-            raise WorldError(field=place, expected="that it returns the action", received="None", fix=fix)
+            fix = "is a `return` missing?"
+            raise WorldError(field=place, expected="the action as its return value", received="None", fix=fix)
         simulation.action = self._action
         self.ego.acceleration = self.ego.steering = 0.0
 
@@ -354,7 +355,7 @@ class Simulation:
         self._hz = vehicles.rules.physics_hz
         self.simulator: Any = simulators.take()
         self.action: Any = None  # of a native policy, for the next tick
-        self._is_sound = False  # until all that it has stated was right
+        self._is_sound = False  # set to True once its states are possible
         try:
             self._starts = self._vehicles(vehicles)
             with self._called("start"):
@@ -415,7 +416,7 @@ class Simulation:
             if number in self._put:
                 self._speeds[number] = body.speed
                 continue
-            if state[3] != body.speed:  # else it has the acceleration that it was asked for
+            if state[3] != body.speed:  # at an equal speed, it has the requested acceleration
                 body.acceleration = (state[3] - self._speeds[number]) * self._hz
             body.place(*state)
             self._speeds[number] = state[3]
@@ -437,12 +438,12 @@ class Simulation:
         except (TypeError, ValueError):
             rows = np.empty(0)
         if rows.shape != (count, 4):
-            expected = f"x, y, heading and speed of {count} vehicles, the ego first, in shape ({count}, 4)"
+            expected = f"x, y, heading and speed of {count} vehicles, the ego first, as an array of shape ({count}, 4)"
             received = f"an array of shape {rows.shape}" if rows.size else f"{given!r:.200}"
             raise WorldError(field=self._place("states"), expected=expected, received=received)
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
-            received = f"{STARTS[column][0]} = {rows[number, column]} of {named(number)}"
+            received = f"{STARTS[column][0]} = {rows[number, column]} for {named(number)}"
             raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
         stated: list[list[float]] = rows.tolist()
         return stated
@@ -457,15 +458,15 @@ class Simulation:
                 if abs(value - wanted) <= largest:
                     continue
                 place = f"{self._place('states')} after {method}"
-                expected = f"{name} = {wanted:.2f} of {named(number)}, in m, rad and m/s with y to the right"
+                expected = f"{name} = {wanted:.2f} for {named(number)}, in m, rad and m/s with y to the right"
                 fix = "put each vehicle into the requested state, in the given order"
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
-                    fix += f"; start received {received}, and states has {states_has}"
+                    fix += f"; start received {received}, and states returned {states_has}"
                 raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
 
     def _check_way(self, rows: list[list[float]]) -> None:
-        # In the first tick, vehicles must move in the direction of their headings, as far as their speeds say.
+        # In the first tick, vehicles must move in the direction of their headings, as far as their speeds imply.
         dt = 1.0 / self._hz
         starts, ends = self._in_run(self._rows), self._in_run(rows)
         for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
@@ -476,7 +477,7 @@ class Simulation:
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
-            expected = f"that {named(number)} drives {math.hypot(*wanted):.2f} m in the direction of its heading"
+            expected = f"{named(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
             turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
             received = f"{math.hypot(*way):.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
             fix = f"are hz, units and axes correct, and does states return the states after the step? {CAUSE}"
@@ -487,7 +488,7 @@ class Simulation:
 
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
-        # Each call has a time limit, and its name is in each error.
+        # Each call of a method has a time limit, and its errors name the method.
         guard = self._guard
         limit, guard.limit = guard.limit, patience_with_world(guard.limit)
         try:
@@ -499,8 +500,8 @@ class Simulation:
                 most, guard.limit = guard.limit, limit
             guard.raise_swallowed()
         except AdsHang:
-            expected, fix = f"that it returns within {most:g} s", "increase hang_limit of the world"
-            raise WorldError(field=self._place(method), expected=expected, received="no return", fix=fix) from None
+            expected, fix = f"a return within {most:g} s", "increase hang_limit of the world"
+            raise WorldError(field=self._place(method), expected=expected, received="none", fix=fix) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
             raise
@@ -512,7 +513,7 @@ class Simulation:
 
 
 class Simulators:
-    """The simulators of a world in this process. Each running run has one, and later runs use it again."""
+    """The simulators of a world in this process. Each run has one while it lasts, and later runs reuse it."""
 
     _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
 
@@ -532,15 +533,15 @@ class Simulators:
             _close(self._process, self._free)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Without its simulators, which belong to this process.
+        # The simulators are omitted, because they belong to this process.
         return Simulators, (self._make,)
 
     def take(self) -> Any:
-        if self._process != getpid():  # those of the other process are not closed, because it still uses them
+        if self._process != getpid():  # the other process still uses its simulators, so they are not closed
             self.__init__(self._make)  # type: ignore[misc]
         if self._free:
             return self._free.pop()
-        for each in tuple(self._all):  # of other worlds, whose runs are over
+        for each in tuple(self._all):  # close simulators of other worlds, whose runs are over
             alone = [one for one in each._free if one.one_at_a_time]
             each._free = [one for one in each._free if one not in alone]
             _close(each._process, alone)

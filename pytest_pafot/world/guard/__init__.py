@@ -1,1 +1,1 @@
-"""Protection against failures of the user's code."""
+"""Protection against failures in the user's code."""

@@ -1,7 +1,7 @@
-"""The global random generators in runs: seeded from the scenario, and restored afterwards.
+"""Seeding of the global random generators for each run, and their restoration afterwards.
 
-So a policy that calls ``random.gauss`` or ``numpy.random.rand`` acts in the same way each time, in any process. torch
-is seeded, too, if other code has imported it.
+A policy that calls ``random.gauss`` or ``numpy.random.rand`` then acts in the same way each time, in any process. torch
+is also seeded if other code has imported it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from pytest_pafot.support.process import REPLACED
 
 
 class _Generator(NamedTuple):
-    """The functions that save, seed, draw from and compare one global generator."""
+    """Functions that save, restore, seed and draw from one global random generator."""
 
     state: Callable[[], Any]
     give_back: Callable[[Any], object]
     seed: Callable[[int], object]
     draw: Callable[[], float]
-    seeded: Callable[[int], Callable[[], float]]  # another generator, which draws the same numbers after the same seed
+    seeded: Callable[[int], Callable[[], float]]  # makes a separate generator, and returns its draw
 
 
 def _words(seed: int) -> list[int]:
     return [seed & 0xFFFFFFFF, seed >> 32]  # numpy's global generator takes 32 bits at a time
 
 
-# These functions are taken before a test can replace them.
+# These functions are looked up now, before a test can replace them.
 OF_PYTHON = _Generator(
     random.getstate,
     random.setstate,
@@ -72,15 +72,15 @@ def _of_torch(torch: Any) -> _Generator:
     return _Generator(state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded)
 
 
-# With this value of `sys.tracebacklimit`, `traceback` takes no frame of a stack.
+# With this value of `sys.tracebacklimit`, `traceback` reads no frames of a stack.
 NO_FRAMES = -1
 
 
 def _seed_torch(torch: Any, seed: int) -> None:
-    # Covers devices that are initialised later, too. For each of them, torch stores the seed with the complete stack as
-    # text, which takes a millisecond within pytest. Without frames, it takes a fortieth of that.
+    # This also seeds devices that are initialised later. For each of them, torch stores the seed with the complete
+    # stack as a string, which takes a millisecond in pytest. Without frames, it takes a fortieth of that time.
     before = vars(sys).get("tracebacklimit")
-    if before == NO_FRAMES:  # another thread seeds at this moment, and gives back what was there before
+    if before == NO_FRAMES:  # another thread is seeding, and will restore the previous value
         torch.manual_seed(seed)
         return
     try:
@@ -94,19 +94,17 @@ def _seed_torch(torch: Any, seed: int) -> None:
 
 
 def _uses_gpu() -> bool:
-    # On a GPU, nothing is drawn in addition to detect draws.
+    # Draws on a GPU are not detected, so runs share no seed if a GPU may be in use.
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
     return cuda is not None and cuda.is_initialized()
 
 
 class _Generators:
-    """The global generators of this process during runs.
+    """The global random generators of this process.
 
-    Seeding takes a hundredth of a fast run, and few policies draw numbers. So if the first run draws nothing, the next
-    ones
-    share a seed, and a number from another generator with that seed shows after each run whether it drew. A run that
-    drew
-    is repeated with its own seed, and so is each later one.
+    Seeding takes a hundredth of the time of a fast run, and few policies draw random numbers. So if the first run draws
+    none, the next runs share a seed. After each of them, a separate generator with that seed shows whether the run drew
+    numbers. If so, the run is repeated with its own seed, and each later run also has its own.
     """
 
     def __init__(self) -> None:
@@ -117,14 +115,14 @@ class _Generators:
     def begin(self) -> None:
         """Forget the saved states and the results of earlier runs."""
         self._saved: list[tuple[_Generator, Any]] = []
-        self._others: list[Callable[[], float]] = []  # those with the shared seed; empty if each run has its own
+        self._others: list[Callable[[], float]] = []  # separate, with the shared seed; empty if none is shared
         self._may_share = True
 
     @contextmanager
     def held(self, *, may_share: bool = True) -> Iterator[None]:
-        """Restore the generators at the end of the outermost block.
+        """Restore the generators at the end of the outermost ``with`` block.
 
-        Without ``may_share``, no run is repeated, because other threads of this process draw numbers.
+        If ``may_share`` is false, runs share no seed, because other threads draw numbers.
         """
         self._may_share = self._may_share and may_share
         self._holders += 1
@@ -142,7 +140,7 @@ class _Generators:
 
     @REPLACED.shown(True)
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
-        """Make a run with seeded generators, and return its trace, which records whether it drew numbers."""
+        """Execute a run with seeded generators, and return its trace, which records whether the run drew numbers."""
         __tracebackhide__ = True
         if self._is_running:
             return rollout(scenario, factory, **given)
@@ -155,7 +153,7 @@ class _Generators:
                     return trace
             self._save()
             is_seeded = False
-            while not is_seeded or self._save():  # a second time if the first run has imported torch
+            while not is_seeded or self._save():  # again if the first run has imported torch
                 is_seeded = True
                 self._seed(scenario.seed)
                 trace = rollout(scenario, factory, **given)
@@ -175,13 +173,13 @@ class _Generators:
         self._others = self._seeded(0)
 
     def is_shared(self) -> bool:
-        """Return whether no run has drawn from the shared seed. If one has, each later run has its own seed."""
+        """Return whether runs can still share a seed. If a run has drawn numbers, each later run has its own seed."""
         if self._save() or self._drew(self._others):
             self._others = []
         return bool(self._others)
 
     def _save(self) -> bool:
-        """Save each generator that is not saved yet, and return whether there was one."""
+        """Save the state of each new generator, and return whether there was one."""
         torch = sys.modules.get("torch")  # only if something else has imported it
         known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
         new = known[len(self._saved) :]

@@ -1,4 +1,4 @@
-"""A wall-clock limit for decisions, so that a policy that hangs ends one run and not the session."""
+"""A wall-clock limit for decisions, so that a policy that hangs ends only its run and not the session."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ LONGEST_PAUSE = 1.0
 IDLE_LOOKS = 5
 # The extra time for a forked copy of this process to reach the end of the policy's code [s].
 COPY_LATE = 0.05
-# The time by which a decision, or the making of a policy, may exceed the end of its search before it is interrupted
-# [s]. Between decisions, a run ends immediately; in them, an interruption may leave the user's code in any state.
+# The time for which a decision, or the creation of a policy, may continue after the end of its search before it is
+# interrupted [s]. Between decisions, a run ends immediately. An interruption of a decision may leave the user's code in
+# an inconsistent state.
 LATE = 5.0
-# Systems reject much longer timers, and no session lasts that long [s].
+# The longest timer [s]. Operating systems reject much longer timers, and no session takes that long.
 LONGEST_TIMER = 1e6
 # Python calls functions of these modules when an object is deleted. Their exceptions are printed and reach no caller.
 SWALLOWING = frozenset({"weakref", "_weakrefset"})
-# A call of a simulator or of an environment's code may take this multiple of the world's `hang_limit`, and at least
-# this time [s]. A simulator may start slowly, but rarely as slowly as ten decisions that are too slow.
+# A call of a simulator's or an environment's code may take this multiple of the world's `hang_limit`, and at least this
+# time [s]. A simulator may start slowly, but rarely takes as long as ten decisions at the limit.
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
 # One of these modules is on the stack while pdb, or an editor's debugger, waits for its user.
 DEBUGGERS = frozenset({"bdb", "pydevd"})
@@ -54,21 +55,21 @@ class LastResort:
     end: Callable[[], None]
     # A decision may ignore interruptions for this time before `end` is called [s].
     grace: float
-    # The file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same time,
-    # because native code holds the interpreter's lock. None if other code handles that case.
+    # The file descriptor for a traceback. If it is set, the process also ends if no Python thread has run for the same
+    # time, because native code holds the interpreter's lock. None if other code handles that case.
     file: int | None = None
     # Ends the process if an environment hangs. None if the process must continue, because a world may be slow.
     end_world: Callable[[], None] | None = None
 
 
 def patience_with_world(hang_limit: float) -> float:
-    """Return how long the code of a world may take [s], given the limit of a decision."""
+    """Return how long a call of a world's code may take [s], given the hang limit of decisions."""
     return max(WORLD_SHARE * hang_limit, LEAST_FOR_WORLD)
 
 
 @contextmanager
 def last_resort(resort: LastResort) -> Iterator[None]:
-    """Use a :class:`LastResort` for this process's decisions within a ``with`` block."""
+    """Apply a :class:`LastResort` to the decisions of this process within a ``with`` block."""
     before = _WATCHDOG.set_resort(resort)
     try:
         yield
@@ -78,9 +79,9 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 
 @contextmanager
 def runs_end_in(seconds: float) -> Iterator[None]:
-    """Let runs within a ``with`` block end with :class:`~pytest_pafot.support.errors.OutOfTime` after some time [s].
+    """End runs within a ``with`` block with :class:`~pytest_pafot.support.errors.OutOfTime` after ``seconds``.
 
-    A run ends before its next decision. If blocks are nested, the inner one applies.
+    A run ends before its next decision. If blocks are nested, the limit of the inner block applies.
     """
     before, _WATCHDOG.until = _WATCHDOG.until, monotonic() + seconds
     try:
@@ -90,14 +91,14 @@ def runs_end_in(seconds: float) -> Iterator[None]:
 
 
 def check_time() -> None:
-    """Raise OutOfTime if the time of :func:`runs_end_in` has run out."""
+    """Raise OutOfTime if the time limit of :func:`runs_end_in` has passed."""
     if monotonic() >= _WATCHDOG.until:
         raise OutOfTime
 
 
 @contextmanager
 def unending() -> Iterator[None]:
-    """Guard code of a policy other than decisions, such as its factory. Only the end of :func:`runs_end_in` ends it."""
+    """Guard the code of a policy outside its decisions, such as its factory, with the limit of :func:`runs_end_in`."""
     if _WATCHDOG.until == math.inf:
         yield
         return
@@ -106,13 +107,13 @@ def unending() -> Iterator[None]:
 
 
 def note_interrupt(interrupt: KeyboardInterrupt) -> None:
-    """Let the running decision of the main thread end with an interrupt, even if the policy catches it."""
+    """Make the running decision of the main thread end with an interrupt, even if the policy catches it."""
     for guard in _WATCHDOG.guards.copy():
         guard.note(interrupt)
 
 
 class OneProcess:
-    """A guard against a policy that forks this process, for a ``with`` statement around its code."""
+    """A context manager for the code of a policy, which ends a forked copy of this process."""
 
     def __init__(self) -> None:
         self.pid = getpid()
@@ -124,12 +125,12 @@ class OneProcess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
-        # A forked copy would run the rest of the session, and write and print everything twice.
+        # Otherwise, a forked copy would run the rest of the session, and write and print everything twice.
         if getpid() != self.pid:
             self._noticed[0] = 1
             os._exit(1)  # without flushing: the original process has the same data in its buffers
         if self.forked_at is not None:
-            # Wait for a copy as long as this process has taken since the fork, while it has any child.
+            # While there is a child process, wait for it as long as this process has taken since the fork.
             now = monotonic()
             until, self.forked_at = now + (now - self.forked_at) + COPY_LATE, None
             with suppress(ChildProcessError, AttributeError):  # not every system has WNOWAIT
@@ -140,25 +141,25 @@ class OneProcess:
             self._noticed[0] = 0
             raise AdsFactoryError(
                 "ads: expected an ADS that ends each child process that it forks, received an ADS whose child "
-                "process returned to the plugin's code. The plugin ended the child before it wrote anything. Call "
-                "os._exit() in the child, where os.fork() returns 0, or use multiprocessing or subprocess"
+                "process returned to the plugin's code. The plugin ended the child before it could write anything. "
+                "Call os._exit() in the child, where os.fork() returns 0, or use multiprocessing or subprocess"
             )
 
 
 class AdsHang(BaseException):
-    """The interruption of a decision. No ``except Exception`` of the policy catches it."""
+    """The interruption of a decision, which ``except Exception`` in the policy does not catch."""
 
 
 class WorldHang(AdsHang):
-    """The interruption of a user's environment. The message names the class and the method."""
+    """The interruption of a user's environment, with a message that names the class and the method."""
 
 
 class HangGuard:
     """A guard that interrupts its thread when a decision takes longer than a limit.
 
-    In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls. In other
-    threads, the exception is raised at the next Python instruction. The :class:`LastResort` handles code that never
-    returns to the interpreter, and a policy that catches every interruption.
+    In the main thread, it also interrupts blocking system calls if the platform has ``signal.pthread_kill``. Otherwise,
+    the exception is raised at the next Python instruction of the thread. The :class:`LastResort` handles code that
+    never returns to the interpreter, and a policy that catches every interruption.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True) -> None:
@@ -203,7 +204,7 @@ class HangGuard:
         return min(self.limit / 4, LONGEST_PAUSE)
 
     def decision_starts(self) -> None:
-        """Start to guard a decision.
+        """Start guarding a decision.
 
         Raises:
             OutOfTime: if the time of the search has run out.
@@ -215,19 +216,19 @@ class HangGuard:
         self.started = now
 
     def decision_ends(self) -> None:
-        """End the guarded decision. Nothing is interrupted after this method returns.
+        """Stop guarding the decision. Nothing is interrupted after this method returns.
 
-        The interruption may still arrive inside this call. The caller must then call it again.
+        The interruption may still arrive inside this call. The caller must then call the method again.
         """
         self.started = None
         self.settle()
 
     def raise_swallowed(self) -> None:
-        """Raise the interruption of a decision that has ended without an exception, because the policy caught it.
+        """Raise the interruption that a policy caught, after a decision that ended without an exception.
 
         Raises:
             AdsHang: if the decision exceeded the limit.
-            OutOfTime: if it lasted longer than its search.
+            OutOfTime: if the decision continued after the end of its search.
             KeyboardInterrupt: if the user ended the session during the decision.
         """
         # Called after `decision_ends`, outside of its `finally`, so that an exception that ends the decision is kept.
@@ -245,7 +246,7 @@ class HangGuard:
         self.raise_swallowed()
 
     def note(self, interrupt: KeyboardInterrupt) -> None:
-        """Note an interrupt of the main thread for :meth:`raise_swallowed`, if its decision is running."""
+        """Store an interrupt of the main thread for :meth:`raise_swallowed` if its decision is running."""
         if self._target == threading.get_ident() and self.started is not None:
             self.interruption = interrupt
 
@@ -263,9 +264,10 @@ class HangGuard:
                 return
 
     def look(self) -> float:
-        # Returns how long the decision has ignored interruptions [s]. Only the watching thread calls this.
+        # Interrupts an overdue decision, and returns how long it has ignored interruptions [s]. Only the watching
+        # thread calls this method.
         with self._lock:
-            now, started = self.clock(), self.started  # in this order; see the class
+            now, started = self.clock(), self.started  # in this order; see `started`
             why = self._interruption(now, started)
             if why is None or started is None:
                 return 0.0
@@ -275,14 +277,14 @@ class HangGuard:
                 self._sent = True
                 self.interruption = self.interruption or why
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(why))
-            if why is OutOfTime:  # An ADS that ignores it is no reason to end the process: its limit will end it.
+            if why is OutOfTime:  # The process need not end if an ADS ignores it, because the limit applies.
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
                 self._ignored = started, now
             return now - self._ignored[1]
 
     def is_stuck(self) -> bool:
-        # Only the guard of an environment can know that.
+        # Only the guard of an environment overrides this.
         return False
 
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
@@ -291,14 +293,14 @@ class HangGuard:
         return AdsHang if now - started > self.limit else OutOfTime if now > self.until + LATE else None
 
     def _received(self, number: int, frame: FrameType | None) -> None:
-        now = self.clock()  # before started is read; see the class
+        now = self.clock()  # before started is read; see `started`
         why = self._interruption(now, self.started)
         if why is None:  # a signal that arrives late interrupts nothing
             outer = getattr(self._previous, "__self__", None)
-            if isinstance(outer, HangGuard):  # of an environment, in which a decision runs
+            if isinstance(outer, HangGuard):  # the guard of an environment in which a decision runs
                 outer._received(number, frame)
             return
-        if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:  # the next look comes soon
+        if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:  # the next check comes soon
             return
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
@@ -309,7 +311,7 @@ class HangGuard:
 
 
 class _Watchdog:
-    """The thread that serves all guards of the process. A thread for each run would take as long to start as a run."""
+    """The thread that serves all guards of the process. Starting a thread for each run would take as long as a run."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -338,7 +340,7 @@ class _Watchdog:
 
     def leave(self, guard: HangGuard) -> None:
         with self._lock:
-            if guard in self.guards:  # it is not there in a process that was forked during a run
+            if guard in self.guards:  # a process that was forked during a run does not have it
                 self.guards.remove(guard)
 
     def set_resort(self, resort: LastResort | None) -> LastResort | None:
@@ -406,12 +408,12 @@ def _waits_in_a_debugger(frame: FrameType | None) -> bool:
 
 
 def one_process() -> OneProcess:
-    """Return the object that detects copies of this process. All runs share it, which saves time."""
+    """Return the object that detects copies of this process. All runs share it."""
     return _WATCHDOG.process
 
 
 _WATCHDOG = _Watchdog()
-if hasattr(os, "register_at_fork"):  # a forked process has only one thread, and locks of others stay locked
+if hasattr(os, "register_at_fork"):  # a forked process has one thread, and locks of other threads stay locked
     os.register_at_fork(
         before=_WATCHDOG.before_fork,
         after_in_parent=_WATCHDOG.after_fork,
@@ -419,7 +421,7 @@ if hasattr(os, "register_at_fork"):  # a forked process has only one thread, and
     )
 
 
-# The class to catch around the user's code. Call `let_through` afterwards: it raises again every exception that the
+# The class to catch around the user's code. Call `let_through` afterwards, which re-raises every exception that the
 # code did not cause.
 UNFIT = BaseException
 
@@ -434,9 +436,9 @@ DEBUGGER = "_pytest.debugging"
 
 
 class Around:
-    """A wrapper around a policy.
+    """The base class of wrappers around a policy.
 
-    A run calls its ``close`` only if the policy has driven.
+    A run calls ``close`` only if the policy has driven.
     """
 
     def __init__(self, ads: Any) -> None:
@@ -457,7 +459,7 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
     """Return whether an exception ends the session, leaves a debugger, or reports that a time limit has passed."""
     # Every other exception is a failure of the user's code: a panic of a native library, a cancelled task, or
     # pytest.skip(), which would otherwise go unnoticed. A test function may call pytest.exit(). A policy may not,
-    # because the session would pass with a status of 0.
+    # because the session would then pass with exit status 0.
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
     if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime)):
@@ -469,20 +471,20 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
 
 
 def let_through(error: BaseException) -> None:
-    """Raise an exception again if it is an interruption. Call this wherever all exceptions of a policy are caught."""
+    """Re-raise an exception if it is an interruption. Call this wherever all exceptions of a policy are caught."""
     if is_interruption(error, is_of_ads=True):
         raise error
 
 
 def _is_from_outside(error: BaseException) -> bool:
-    # For example, a debugger, or a signal handler for SIGTERM.
+    # True if a debugger or a signal handler, such as one for SIGTERM, has raised it.
     handlers = [getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()]
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     return any(frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames)
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
-    """Return the record of an exception in a decision, or raise an interruption again."""
+    """Convert an exception in a decision to an AdsError, or re-raise an interruption."""
     let_through(error)
     if isinstance(error, BadAction):
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)
@@ -514,7 +516,7 @@ def _users_part(error: BaseException) -> TracebackType | None:
 def closing(ads: Any, hang_limit: float) -> Iterator[None]:
     """Call the ``close`` method of a policy, if it has one, when a ``with`` block ends.
 
-    If it raises an exception, or takes longer than ``hang_limit`` [s], there is only a ``RuntimeWarning``.
+    An exception, or a call that takes longer than ``hang_limit`` [s], causes only a ``RuntimeWarning``.
     """
     try:
         yield
@@ -525,9 +527,9 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
 
 
 def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
-    """Call a user's ``close`` method, and warn if it raises an exception, or takes longer than ``limit`` [s].
+    """Call a user's ``close`` method, and warn if it raises an exception or takes longer than ``limit`` [s].
 
-    The warning is never an error, even with ``-W error``.
+    The warning never becomes an error, even with ``-W error``.
     """
     guard = HangGuard(limit, is_limited=False)
     try:
@@ -536,11 +538,11 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
     except UNFIT as error:
         failed = error_of(error, 0, guard)
         what = f"a return within {guard.limit:g} s" if failed.interrupted else "no exception"
-        received = "no return, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
+        received = "a call that was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
         text = f"{name}: expected {what}, received {received}; this does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
-        except RuntimeWarning:  # of a filter for errors: it would hide the error of the run, or end pytest's summary
+        except RuntimeWarning:  # with `-W error`, it would hide the error of the run, or end pytest's summary
             with warnings.catch_warnings():
                 warnings.simplefilter("always")
                 warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -1,8 +1,8 @@
-"""The kernel, which simulates runs: typed Python that is compiled if there is a C compiler.
+"""The simulation kernel, in typed Python that is compiled if a C compiler is available.
 
-The ``.pxd`` file next to each module has the C types. If the modules were not compiled from these sources, or if the
-environment variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted. Then runs
-take about twenty times longer, with equal results.
+The ``.pxd`` file next to each module declares the C types. If the compiled modules do not match these sources, or if
+the environment variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted. Runs
+then take about twenty times as long, with the same results.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from pytest_pafot.support import compiled
 
 
 def is_compiled() -> bool:
-    """Return whether the kernel runs compiled."""
-    from pytest_pafot.world.kernel import loop  # noqa: PLC0415  (it is imported below)
+    """Return whether the compiled kernel is in use."""
+    from pytest_pafot.world.kernel import loop  # noqa: PLC0415  (loaded below)
 
     return not str(loop.__file__).endswith(".py")
 

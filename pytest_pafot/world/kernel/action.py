@@ -1,4 +1,4 @@
-"""The actions of planners: their checks, and the control of a car within its limits."""
+"""Checks for the actions of planners, and functions that turn them into controls within a car's limits."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamp
 
 EGO_ACCELERATION = 6.0
-"""The strongest acceleration of an ego; a higher value in a planner's action has no effect [m/s^2]."""
+"""The maximum acceleration of an ego, to which actions of planners are limited [m/s^2]."""
 EGO_BRAKING = 9.81
-"""The strongest deceleration of an ego: full braking on a dry road [m/s^2]."""
+"""The maximum deceleration of an ego, which is full braking on a dry road [m/s^2]."""
 EGO_STEERING = math.pi / 4
-"""The largest steering angle of an ego [rad]."""
+"""The maximum steering angle of an ego [rad]."""
 
-KP_SPEED = 1.0 / 0.6  # acceleration per difference to the target speed, as in highway-env's ControlledVehicle [1/s]
-STEEPEST = math.pi / 4  # largest heading relative to the lane that highway-env's vehicles steer for [rad]
+KP_SPEED = 1.0 / 0.6  # acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
+STEEPEST = math.pi / 4  # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
-"""The default limits of a :class:`Drive` [m/s^2, m/s^3].
+"""The default lateral limits of a :class:`LaneCommand` [m/s^2, m/s^3].
 
-UN R79, 5.6.2.1.3, allows 3 and 5. These are lower, because braking and speeding up in a turn add to both."""
+UN R79, 5.6.2.1.3, allows 3 and 5. The defaults are lower because braking or speeding up in a turn increases both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
-    """An action that sets a lane, and either a speed or an acceleration, instead of acceleration and steering.
+class LaneCommand:
+    """An action with a target lane and either a speed or an acceleration, instead of acceleration and steering.
 
     Until the next decision, the ego steers towards the centre of the lane within the lateral limits. It accelerates or
-    brakes towards the speed, or keeps the acceleration.
+    brakes towards the speed, or keeps the acceleration constant.
 
     Attributes:
         lane: target lane, counted from 0 at the left.
         speed: target speed [m/s], at least 0. None if ``acceleration`` is given.
         acceleration: acceleration [m/s^2]. None if ``speed`` is given.
         lateral_acceleration: limit of the lateral acceleration [m/s^2], from 0.1 to 100.
-        lateral_jerk: limit of the change of the lateral acceleration per second [m/s^3], from 0.1 to 1000.
+        lateral_jerk: limit of the lateral jerk [m/s^3], from 0.1 to 1000.
     """
 
     lane: int
@@ -51,16 +51,16 @@ class Drive:
     lateral_jerk: float = LATERAL_JERK
 
 
-def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
-    """Convert an action to a pair of floats, or to a :class:`Drive` with plain numbers.
+def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | LaneCommand:
+    """Check an action, and return it as a pair of floats or as a :class:`LaneCommand` with Python numbers.
 
     Raises:
-        BadAction: if it is neither a pair of finite numbers nor a :class:`Drive` to one of the ``lanes`` lanes.
+        BadAction: if the action is neither two finite numbers nor a valid command for a road with ``lanes`` lanes.
     """
     if type(action) is tuple and len(action) == 2 and type(action[0]) is float and type(action[1]) is float:
         pair = action
-    elif isinstance(action, Drive):
-        return _checked_drive(action, lanes)
+    elif isinstance(action, LaneCommand):
+        return _checked_lane_command(action, lanes)
     else:
         pair = _floats(action)
     if not (math.isfinite(pair[0]) and math.isfinite(pair[1])):
@@ -69,17 +69,17 @@ def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
 
 
 def possible_acceleration(wanted: float) -> float:
-    """Limit an acceleration to what an ego can do [m/s^2]."""
+    """Limit an acceleration to the range that an ego can reach [m/s^2]."""
     return min(max(wanted, -EGO_BRAKING), EGO_ACCELERATION)
 
 
 def possible_steering(wanted: float) -> float:
-    """Limit a steering angle to what an ego can do [rad]."""
+    """Limit a steering angle to the range that an ego can reach [rad]."""
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
 
 
 def acceleration_to_speed(wanted: float, speed: float) -> float:
-    """Return an ego's acceleration towards a speed [m/s^2]."""
+    """Return an ego's acceleration towards a target speed [m/s^2]."""
     return possible_acceleration(KP_SPEED * (wanted - speed))
 
 
@@ -92,13 +92,13 @@ def lane_steering(
     kp_heading: float,
     kp_lateral: float,
 ) -> float:
-    """Return the steering angle towards the centre of a lane, even if wheels cannot turn so far [rad].
+    """Return the unlimited steering angle towards the centre of a lane [rad].
 
     Args:
         offset: offset from the lane's centre, positive to the right [m].
-        ahead: direction of the lane a short time ahead [rad].
+        ahead: direction of the lane slightly ahead of the vehicle [rad].
         heading, speed, length: heading [rad], speed [m/s] and length [m] of the vehicle.
-        kp_heading, kp_lateral: gains [1/s].
+        kp_heading, kp_lateral: gains of the heading and lateral control [1/s].
     """
     divisor = not_zero(speed)
     sideways = math.asin(clamp(-kp_lateral * offset / divisor, 1.0))
@@ -108,14 +108,14 @@ def lane_steering(
 
 
 def not_zero(value: float) -> float:
-    """Replace a number near zero by 0.01 or -0.01, so that it can be a divisor."""
+    """Replace a number near zero with 0.01 or -0.01, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
 
 
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
-    """Limit braking so that the vehicle stops at zero speed [m/s^2]."""
+    """Limit an acceleration so that the vehicle stops instead of reversing [m/s^2]."""
     return max(wanted, -speed / dt) if wanted < 0.0 else wanted
 
 
@@ -125,49 +125,48 @@ def _floats(action: Any) -> tuple[float, float]:
     try:
         acceleration, steering = action
         if isinstance(acceleration, (str, bytes)) or isinstance(steering, (str, bytes)):
-            raise TypeError("text is no number")
+            raise TypeError("a string is not a number")
         return float(acceleration), float(steering)
     except (TypeError, ValueError, OverflowError):
         raise BadAction(_expected(action)) from None
 
 
-def _checked_drive(drive: Drive, lanes: int) -> Drive:
-    given = [value for value in (drive.speed, drive.acceleration) if value is not None]
+def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
+    given = [value for value in (command.speed, command.acceleration) if value is not None]
     if len(given) != 1:
-        raise _bad_drive("either a speed [m/s] or an acceleration [m/s^2]", drive)
-    most, jerk = drive.lateral_acceleration, drive.lateral_jerk
-    is_plain = type(drive.lane) is int and type(given[0]) is float and type(most) is float and type(jerk) is float
-    lane, value = drive.lane, given[0]
+        raise _bad_lane_command("either a speed [m/s] or an acceleration [m/s^2]", command)
+    most, jerk = command.lateral_acceleration, command.lateral_jerk
+    is_plain = type(command.lane) is int and type(given[0]) is float and type(most) is float and type(jerk) is float
+    lane, value = command.lane, given[0]
     if not is_plain:  # these conversions take longer than the rest of a tick
-        lane, value = _lane_and_value(drive, given[0])
+        lane, value = _lane_and_value(command, given[0])
         most, jerk = _finite(most), _finite(jerk)
     if not 0 <= lane < lanes:
-        raise _bad_drive(f"a lane from 0, at the left, to {lanes - 1}", drive)
+        raise _bad_lane_command(f"a lane from 0, at the left, to {lanes - 1}", command)
     if not math.isfinite(value):
-        raise _bad_drive("finite numbers", drive)
-    if drive.speed is not None and value < 0.0:
-        raise _bad_drive("a speed of at least 0 m/s", drive)
+        raise _bad_lane_command("finite numbers", command)
+    if command.speed is not None and value < 0.0:
+        raise _bad_lane_command("a speed of at least 0 m/s", command)
     if not 0.1 <= most <= 100.0:
-        raise _bad_drive("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", drive)
+        raise _bad_lane_command("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", command)
     if not 0.1 <= jerk <= 1000.0:
-        raise _bad_drive("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", drive)
-    if is_plain and type(drive) is Drive:
-        return drive
-    if drive.speed is None:
-        return Drive(lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk)
-    return Drive(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
+        raise _bad_lane_command("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", command)
+    if is_plain and type(command) is LaneCommand:
+        return command
+    if command.speed is None:
+        return LaneCommand(lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk)
+    return LaneCommand(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
 
 
-def _lane_and_value(drive: Drive, given: Any) -> tuple[int, float]:
+def _lane_and_value(command: LaneCommand, given: Any) -> tuple[int, float]:
     try:
-        if isinstance(drive.lane, bool) or isinstance(given, (str, bytes)):
-            raise TypeError("neither is a number")
-        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(
-            drive.lane
-        )  # also 2.0, for instance from JSON
-        return operator.index(int(drive.lane) if is_whole else drive.lane), float(given)
+        if isinstance(command.lane, bool) or isinstance(given, (str, bytes)):
+            raise TypeError("booleans and strings are not numbers")
+        # 2.0 also counts as whole, because JSON may contain it
+        is_whole = isinstance(command.lane, numbers.Real) and command.lane == int(command.lane)
+        return operator.index(int(command.lane) if is_whole else command.lane), float(given)
     except (TypeError, ValueError, OverflowError):
-        raise _bad_drive("numbers, with a whole number for the lane", drive) from None
+        raise _bad_lane_command("numbers, with a whole number for the lane", command) from None
 
 
 def _finite(value: Any) -> float:
@@ -175,8 +174,8 @@ def _finite(value: Any) -> float:
     return -1.0 if number is None else float(number)
 
 
-def _bad_drive(expected: str, drive: Drive) -> BadAction:
-    return BadAction(f"expected pafot.Drive with {expected}, received {shown(drive)}")
+def _bad_lane_command(expected: str, command: LaneCommand) -> BadAction:
+    return BadAction(f"expected pafot.LaneCommand with {expected}, received {shown(command)}")
 
 
 def _expected(action: Any) -> str:
@@ -185,7 +184,7 @@ def _expected(action: Any) -> str:
         hint = 'policies of a highway-env environment need world=pafot.World("highway-v0")'
     if not hint and isinstance(action, dict):
         hint = "return the two values as a tuple"
-    expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive"
+    expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand"
     received = f"{expected}, received {shown(action)}"
     return f"{received}; {hint}" if hint else received
 
@@ -198,11 +197,11 @@ def hint_at(action: Any) -> str:
         return (
             "(action, state) is what `model.predict` returns: use `model.predict(observation, deterministic=True)[0]`"
         )
-    if isinstance(action, Drive):
-        return "pafot.Drive is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
+    if isinstance(action, LaneCommand):
+        return "pafot.LaneCommand is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
     if inspect.iscoroutine(action) or inspect.isgenerator(action):
         if inspect.iscoroutine(action):
-            action.close()  # otherwise Python also warns about it
+            action.close()  # otherwise Python would also warn that it was never awaited
         return "an ADS is an ordinary function, without `async` and `yield`"
     shape = getattr(action, "shape", ())
     if isinstance(shape, tuple) and len(shape) > 1 and shape[0] == 1:

@@ -1,7 +1,7 @@
-"""Vehicles as moving boxes, and the contact of two boxes.
+"""Vehicles as moving boxes, and the detection of contact between boxes.
 
-Vehicles move by highway-env's kinematic bicycle model. highway-env's own check of collisions is switched off, because
-it also reports predicted contact and pushes vehicles apart.
+Vehicles move according to highway-env's kinematic bicycle model. highway-env's own collision check is switched off,
+because it also reports predicted contacts and pushes vehicles apart.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
-COLUMNS = 7  # per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
-MAX_SPEED = TOP_SPEED  # forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
+COLUMNS = 7  # values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+MAX_SPEED = TOP_SPEED  # both forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
 
 
 class Box:
-    """An oriented rectangle: centre [m], heading [rad], length and width [m]."""
+    """A rectangle with a centre [m], a heading [rad], a length and a width [m]."""
 
     def __init__(self, x: float, y: float, heading: float, length: float, width: float) -> None:
         self.x = x
@@ -27,23 +27,23 @@ class Box:
 
 
 class Body(Box):
-    """A box with a speed [m/s], and with controls that stay until they are set again."""
+    """A box that moves at a speed [m/s], with controls that apply until they are set again."""
 
     def __init__(self, length: float, width: float) -> None:
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
         self.length = length
         self.width = width
-        self.lane = 0  # the nearest lane, found after all bodies have moved; not for vehicles that cross
+        self.lane = 0  # nearest lane, updated after all bodies have moved; not used for crossing vehicles
 
     def place(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Set position, heading and speed [m, m, rad, m/s]."""
+        """Set the position [m], the heading [rad] and the speed [m/s]."""
         self.x = x
         self.y = y
         self.heading = heading
         self.speed = speed
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds by one explicit Euler step of highway-env's bicycle model."""
+        """Move the body for ``dt`` seconds, with one explicit Euler step of highway-env's bicycle model."""
         speed = self.speed
         if speed > MAX_SPEED:
             self.acceleration = min(self.acceleration, MAX_SPEED - speed)
@@ -63,9 +63,9 @@ class Body(Box):
 
 
 def overlap(a: Box, b: Box) -> bool:
-    """Return whether two boxes share more than an edge."""
-    # separating axes; first with these bounds of the sines, as most pairs need no trigonometry
-    turn_a, turn_b = abs(a.heading), abs(b.heading)  # bounds of the sines: most pairs need no trigonometry
+    """Return whether two boxes overlap. A shared edge is not an overlap."""
+    # Angles are upper bounds of their sines. With these bounds, most pairs are found to be apart without trigonometry.
+    turn_a, turn_b = abs(a.heading), abs(b.heading)
     if 2.0 * abs(b.x - a.x) > a.length + b.length + a.width * turn_a + b.width * turn_b:
         return False
     if 2.0 * abs(b.y - a.y) > a.width + b.width + a.length * turn_a + b.length * turn_b:
@@ -74,14 +74,14 @@ def overlap(a: Box, b: Box) -> bool:
 
 
 def depth(a: Box, b: Box) -> float:
-    """Return the largest gap between two boxes along any of their axes [m], negative if they overlap."""
+    """Return the largest gap between two boxes along any of their axes [m], which is negative if they overlap."""
     along, across = separation(a, b)
     its_along, its_across = separation(b, a)
     return max(along, across, its_along, its_across)
 
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
-    """Return the gaps along the length and the width of the first box [m], negative for an overlap."""
+    """Return the gaps between two boxes along the length and the width of the first [m]. Overlaps are negative."""
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
@@ -95,8 +95,8 @@ def separation(a: Box, b: Box) -> tuple[float, float]:
 
 
 def side_hit(ego_before: Box, other_before: Box) -> Side:
-    """Return which side of the ego was hit, given the boxes in the last tick without contact."""
-    # The boxes met along the axis of the ego along which they were further apart before.
+    """Return the side of the ego that was hit, given both boxes in the last tick without contact."""
+    # The contact occurred along the axis of the ego along which the gap was larger before.
     along, across = separation(ego_before, other_before)
     dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y
     cos_h, sin_h = math.cos(ego_before.heading), math.sin(ego_before.heading)

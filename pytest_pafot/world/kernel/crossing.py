@@ -1,8 +1,9 @@
-"""The control of crossing NPCs, which have their own paths and are timed by the ego's arrival at their zone.
+"""The control of crossing NPCs, which follow their own paths and adapt to the ego's arrival at their zone.
 
-An NPC adapts its speed to the ego's estimated arrival until some seconds before it enters its zone. Then it keeps to
-its plan, because an NPC that slows down with the ego would hide the ego's failures. Otherwise it acts like a driver: it
-stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other NPCs.
+An NPC adapts its speed to the ego's estimated arrival until a few seconds before it enters its zone. Then it keeps to
+its plan, because an NPC that slowed down with the ego would hide the ego's failures. Apart from that, it acts like a
+driver: it stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other
+NPCs.
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, followin
 from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
-FREEZE = 3.0  # the time before it enters its zone at which an NPC stops adapting to the ego's arrival [s]
+FREEZE = 3.0  # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
 # The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
-# NPC would wait for an ego that waits.
+# NPC would wait for an ego that itself waits.
 SLOWEST, FASTEST = 0.5, 1.3
-PASS, HOLD, STOP, LATE = range(4)  # the acts of an NPC at its zone, in the order of ACTS
-MARGIN = 1.0  # the distance before a conflict at which an NPC waits until the ego or another NPC has left it [m]
-SETTING_OFF = 1.1  # the time that a holding vehicle needs to reach its zone [s]
-# reaction time to an ego that has entered the NPC's zone [s], and hardest braking for it [m/s^2]
+PASS, HOLD, STOP, LATE = range(4)  # acts of an NPC at its zone, in the order of ACTS
+MARGIN = 1.0  # distance before a conflict at which an NPC waits until the ego or another NPC has passed [m]
+SETTING_OFF = 1.1  # time that a waiting NPC needs to reach its zone [s]
+# reaction time to an ego that has entered the NPC's zone [s], and hardest braking in that reaction [m/s^2]
 RESPONSE, ANSWER = 1.0, 6.0
-# when an NPC may have to wait: the time in which braking builds up [s], and the braking [m/s^2]
+# when an NPC must decide whether it can still stop: the time in which braking builds up [s], and the braking [m/s^2]
 BUILDING_UP, BRAKING = 0.4, 5.0
-LEAST_SPEED = 0.5  # for predictions, because a vehicle that is nearly stationary may continue [m/s]
-ABREAST = 2.0  # the distance from a path up to which a vehicle obstructs vehicles on that path [m]
+LEAST_SPEED = 0.5  # lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
+ABREAST = 2.0  # distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
 UNENDING, NOWHERE = math.inf, float("nan")  # unlike math.inf and math.nan, these are C numbers in compiled code
 
 
 class SharedPlace:
-    """A conflict of an NPC's path with the path of another NPC."""
+    """A conflict between the paths of two NPCs."""
 
     def __init__(self, other: int, own: tuple[float, float], its: tuple[float, float]) -> None:
         self.other = other
@@ -50,20 +51,20 @@ class SharedPlace:
 
 
 class LeaderAhead:
-    """A vehicle that may be ahead of an NPC in its lane."""
+    """A vehicle that may be ahead of an NPC in the same lane."""
 
     def __init__(self, other: int, places: array[float]) -> None:
         self.other = other
-        self.places = places  # its position on the NPC's path for each point of its path [m]; NaN where it is not on it
+        self.places = places  # position on the NPC's path of each point of the vehicle's path [m]; NaN if not on it
 
     def place(self, along: float) -> float:
-        """Convert a position along the vehicle's path to the NPC's path [m]; NaN if it is not on that path."""
+        """Convert a position on the vehicle's path to a position on the NPC's path [m], or to NaN."""
         point = int(along / STEP + 0.5)
         return self.places[point] if 0 <= point < len(self.places) else NOWHERE
 
 
 class CrossingNpc(Body):
-    """A crossing NPC: x is its position along its path, y its distance to the right, heading its angle to the path."""
+    """A crossing NPC, with x along its path, y to the right of the path, and a heading relative to the path."""
 
     def __init__(
         self,
@@ -80,22 +81,22 @@ class CrossingNpc(Body):
         super().__init__(size[0], size[1])
         self.driver = driver
         self.index = 0
-        # slot of the instruction [s], start along the path [m], and lateral acceleration at the start [m/s^2]
+        # slot of the instruction [s], start along the path [m], and largest lateral acceleration at the start [m/s^2]
         self.slot = self.begins = self.turning = 0.0
         self.track = track
-        self.enters, self.leaves = zone  # where it enters and leaves its zone, along its path [m]
-        self.ego_enters, self.ego_leaves = ego_zone  # where the ego does, along the ego's path [m]
+        self.enters, self.leaves = zone  # positions along its path at which it enters and leaves its zone [m]
+        self.ego_enters, self.ego_leaves = ego_zone  # the same for the ego, along the ego's path [m]
         self.act = act
-        self.middle = middle  # where it stops if it stops in its zone [m]
-        self.wanted = speed  # of its instruction [m/s]
-        self.speeds = array("d", speeds)  # planned at each point [m/s]
-        self.times = array("d", [0.0]) * len(speeds)  # from the first point to each point [s]
+        self.middle = middle  # position at which it stops if its act is STOP [m]
+        self.wanted = speed  # speed of the instruction [m/s]
+        self.speeds = array("d", speeds)  # planned speed at each point [m/s]
+        self.times = array("d", [0.0]) * len(speeds)  # planned time from the first point to each point [s]
         self._plan()
         self.asked = 0.0  # acceleration in the previous tick [m/s^2]
         self.course = 0.0  # direction of motion after the previous tick's steering [rad]
         self.entry = UNENDING  # planned time of entering its zone [s]
         self.entered = NEVER  # tick at which it entered its zone
-        self.stands_at = UNENDING  # where it will stop for an unknown time [m]
+        self.stands_at = UNENDING  # position at which it will stop for an unknown time [m]
         self.is_frozen = False  # true when it no longer adapts to the ego's arrival
         self.is_released = False
         self.noticed = 0  # number of ticks for which it has noticed an ego in its zone
@@ -108,7 +109,7 @@ class CrossingNpc(Body):
             most = gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
-                # mean speed over a step; the limit keeps stops finite
+                # from the mean speed over a step, with a lower limit, so that stops take a finite time
                 times[point] = times[point - 1] + 2.0 * STEP / max(speeds[point] + speeds[point - 1], 2e-3)
 
     def lasts(self, since: float, until: float) -> float:
@@ -118,7 +119,7 @@ class CrossingNpc(Body):
 
 
 def stopping_speed(room: float, speed: float) -> float:
-    """Return the desired speed for stopping within a distance [m], given the current speed [m/s]."""
+    """Return the desired speed for stopping within a distance [m], given the present speed [m/s]."""
     if room <= 0.0:
         return 0.0
     return min(gap_speed(room), speed_for_braking(speed * speed / (2.0 * room), speed))
@@ -130,9 +131,9 @@ def can_stop(room: float, speed: float) -> bool:
 
 
 class JunctionDirector(BaseDirector):
-    """The director of the NPCs of one run on a :class:`NetworkRoad` with paths of other traffic.
+    """The director for a :class:`NetworkRoad` with crossing NPCs.
 
-    It controls the crossing NPCs. ``grid`` controls the NPCs around the ego, and is None if there are none.
+    ``grid`` is the director of the NPCs around the ego, or None if there are no such NPCs.
     """
 
     def __init__(
@@ -149,7 +150,7 @@ class JunctionDirector(BaseDirector):
         self._junction = junction
         self._grid = grid
         self._ego_lane = road.ego_lane
-        self._ego_across = road.centre(road.ego_lane)  # nominal
+        self._ego_across = road.centre(road.ego_lane)  # nominal lateral position [m]
         self._limits = limits
         self._jerk = limits.jerk
         self._top_speed = limits.top_speed(road.speed_limit)
@@ -162,7 +163,7 @@ class JunctionDirector(BaseDirector):
         ]
         super().__init__(npcs)
         self._crossing = [npc for npc in self.npcs if isinstance(npc, CrossingNpc)]
-        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]  # the ego is put there by the first command
+        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]  # `command` replaces the first with the ego
         self._relations = [self._related(number) for number in range(len(self._vehicles))]
         for npc in self._crossing:
             npc.conflicts, npc.leaders = self._relations[npc.index + 1]
@@ -185,7 +186,7 @@ class JunctionDirector(BaseDirector):
         return npc
 
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
-        """Return the conflicts of a vehicle's path with other paths, and the vehicles that may be ahead in its lane."""
+        """Return the conflicts of a vehicle's path with other paths, and the vehicles that may be its leaders."""
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
         mine, conflicts, leaders = names[number], [], []
         for other, theirs in enumerate(names):
@@ -238,7 +239,7 @@ class JunctionDirector(BaseDirector):
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
-        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # by the slip left from a bend behind it
+        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # the last bend still causes some slip
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
         return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
 
@@ -282,7 +283,7 @@ class JunctionDirector(BaseDirector):
         if npc.entered == NEVER and npc.act in (PASS, STOP):
             gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # until the accelerator is released
             wanted = min(wanted * self._speed_factor(npc, ego), fastest - gained)
-        npc.stands_at = UNENDING  # set by its act below, if it waits
+        npc.stands_at = UNENDING  # set below if the NPC waits
         if npc.act == STOP:
             npc.stands_at = npc.middle
         elif npc.act != PASS and not npc.is_released and npc.entered == NEVER:
@@ -295,7 +296,7 @@ class JunctionDirector(BaseDirector):
                 npc.stands_at = npc.enters - BEFORE_LINE
         if npc.stands_at < UNENDING:
             wanted = min(wanted, stopping_speed(npc.stands_at - npc.x, npc.speed))
-        # Last, it brakes for an ego that is in the zone and will stay there.
+        # Finally, the NPC brakes for an ego that is in the zone and will stay there.
         if npc.entered == NEVER and self._reacts(npc, ego):
             npc.stands_at = min(npc.stands_at, npc.enters - MARGIN)
             safe = stopping_speed(npc.enters - MARGIN - npc.x, npc.speed)
@@ -314,12 +315,12 @@ class JunctionDirector(BaseDirector):
             speed = max(ego.speed, 0.1)
             first, last = (npc.ego_enters - ego.x) / speed, (npc.ego_leaves - ego.x) / speed
             crossing = 0.0 if npc.act == STOP else npc.lasts(npc.enters, npc.leaves)
-            # A positive slot is after the ego, and a negative one before it. With 0, both are in the zone together.
+            # A positive slot means after the ego, a negative slot before the ego, and 0 together with the ego.
             if npc.slot > 0.0:
                 due = last + npc.slot
             else:
                 due = first + npc.slot - crossing if npc.slot < 0.0 else (first + last - crossing) / 2.0
-            if npc.act != LATE:  # a time that it can reach within SLOWEST and FASTEST
+            if npc.act != LATE:  # limited to a time that the NPC can reach within SLOWEST and FASTEST
                 left = npc.lasts(npc.x, npc.enters)
                 due = min(max(due, left / FASTEST), left / SLOWEST)
             npc.entry = now + due
@@ -331,7 +332,7 @@ class JunctionDirector(BaseDirector):
         if not npc.ego_enters < ego.x < npc.ego_leaves:
             npc.noticed = 0
             return False
-        if npc.noticed == 0:  # no reaction to an ego that leaves in time, or if it can no longer stop
+        if npc.noticed == 0:  # no reaction if the ego leaves in time, or if the NPC can no longer stop
             stays = (npc.ego_leaves - ego.x) / max(ego.speed, 0.1)
             comes = npc.lasts(npc.x, npc.enters) * self._slowness(npc)
             room = npc.enters - npc.x - RESPONSE * npc.speed
@@ -344,7 +345,7 @@ class JunctionDirector(BaseDirector):
         return npc.track.value(npc.speeds, npc.x) / max(npc.speed, LEAST_SPEED)
 
     def _time_to(self, vehicle: Body, place: float) -> float:
-        """Return the time until a vehicle reaches a point of its path at its current speed [s]."""
+        """Return the time until a vehicle reaches a position on its path at its current speed [s]."""
         if isinstance(vehicle, CrossingNpc):
             npc = vehicle
             if place > npc.stands_at:
@@ -353,9 +354,9 @@ class JunctionDirector(BaseDirector):
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
-        """Limit a desired speed so that an NPC gives way where another one arrives at the same time [m/s].
+        """Limit a desired speed so that an NPC gives way if another one would reach a conflict at the same time [m/s].
 
-        If both NPCs can wait, the NPC with the higher index waits. If only one can, that one waits.
+        If both NPCs can wait, the NPC with the higher index waits. Otherwise, the NPC that can wait does.
         """
         for conflict in conflicts:
             theirs = self._vehicles[conflict.other]
@@ -370,7 +371,7 @@ class JunctionDirector(BaseDirector):
             if self._time_to(mine, conflict.begins) > self._time_to(theirs, conflict.its_ends) + APART:
                 continue
             room = conflict.begins - MARGIN - mine.x
-            if not is_in:  # an NPC that can no longer stop does not give way
+            if not is_in:  # an NPC that can no longer stop does not have to give way
                 can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
                 if not can_stop(room + MARGIN, mine.speed) or (can_wait and conflict.other > index + 1):
                     continue

@@ -1,7 +1,7 @@
-"""The director, which turns the NPCs' instructions into their controls, tick by tick.
+"""The director, which controls the NPCs according to their instructions, tick by tick.
 
-The director counts the time of genes, repairs requests at the start of a gene (paper, section 2.1), records arrivals,
-and makes NPCs give way to each other. It works only in road coordinates.
+The director starts each gene on time, replaces impossible cells at the start of a gene (paper, section 2.1), records
+arrivals, and makes NPCs give way to each other. It works only in road coordinates.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ from pytest_pafot.world.kernel.driver import (
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.limits import NpcLimits
 
-# the distance from a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half its length
+# lateral distance from a cell's centre within which an NPC has arrived [m]; along the lane, it is half the NPC's length
 ARRIVED_LATERAL = 0.5
-# the speed of an NPC that changes lanes ahead of a stationary ego, because a car cannot move sideways [m/s]
+# lowest speed of an NPC that changes lanes ahead of a stationary ego, because a car cannot move sideways [m/s]
 CREEP_SPEED = 3.0
-BESIDE = 0.6  # the smallest room between NPCs side by side [m]; with less, each obstructs the other
+BESIDE = 0.6  # smallest lateral gap of NPCs that drive side by side [m]; at a smaller gap, each obstructs the other
 NO_LANE = -1
 
 Start = tuple[float, tuple[float, float, float, float]]
-"""A vehicle's position along its path [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
+"""The start of a vehicle: the position along its path [m], and x [m], y [m], heading [rad] and speed [m/s]."""
 
-# The following numbers are for attentive traffic. The verdicts require no more of an NPC when the ego moves in ahead of
-# it, or brakes there for nothing.
-TRACK = 0.3  # the sideways gap to the ego's box up to which an NPC is still directly behind or ahead of the ego [m]
-REACTION = 1.0  # the reaction time of an NPC to unexpected behaviour of the ego [s]
-ANSWER = 6.0  # the hardest braking with which an NPC reacts to it [m/s^2]
-# the ego's reaction time and braking for which an NPC leaves room when it moves in ahead [s, m/s^2]
+# The following numbers are for attentive traffic. Verdicts do not expect more of an NPC when the ego moves in ahead of
+# the NPC, or brakes there for no reason.
+TRACK = 0.3  # lateral gap to the ego's box up to which an NPC counts as directly behind or ahead of the ego [m]
+REACTION = 1.0  # reaction time of an NPC to unexpected behaviour of the ego [s]
+ANSWER = 6.0  # hardest braking of an NPC in that reaction [m/s^2]
+# reaction time and braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]
 ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
-ENTRY_GAP = 1.5  # the gap to an ego of equal speed at which an NPC moves in behind it [m]
+ENTRY_GAP = 1.5  # smallest gap at which an NPC moves in behind an ego of equal speed [m]
 NOT_BEHIND = -1
 
 # The following numbers are for roads with bends.
-LOOK_AHEAD = 3.0  # the driving time for which a lane must continue so that an NPC enters it or stays in it [s]
-# The proportion of the largest angle to a lane that an NPC uses towards its target lane. The rest is a reserve: at the
-# start and end of a bend, the lane that it leaves has a slightly different direction.
+LOOK_AHEAD = 3.0  # driving time for which a lane must continue so that an NPC enters it or stays in it [s]
+# The proportion of the largest angle to a lane that an NPC uses relative to its target lane. The rest is a reserve,
+# because the lane that the NPC leaves has a slightly different direction at the start and end of a bend.
 HEADING_SHARE = 0.9
-# the proportion of an NPC's lateral acceleration for following a bend while it speeds up in a lane change
+# proportion of an NPC's lateral acceleration for following a bend while the NPC speeds up in a lane change
 CHANGING_SHARE = 0.3
-BETWEEN_LANES = 0.5  # the distance from the centre of its target lane above which an NPC still changes lanes [m]
+BETWEEN_LANES = 0.5  # distance from the centre of the target lane above which an NPC is still changing lanes [m]
 
 
 class Npc(Body):
-    """An NPC in road coordinates, and the director's state for it."""
+    """An NPC in road coordinates, with its director's state for it."""
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
@@ -69,29 +69,29 @@ class Npc(Body):
         self.limits: Any = None
         self.bends: Any = None  # the road with this NPC's speeds and leans; None on a straight road
         self.top_speed = self.half_lengths = self.longer = self.lateral = 0.0
-        self.index = index  # among its director's chains, which omit crossing NPCs
+        self.index = index  # index of the chain in the director's scenario, which has no crossing NPCs
         self.chain: tuple[Any, ...] = chain
         self.executed: list[Any] = []  # cells or lanes of the started genes
-        self.arrivals: list[int | None] = []  # tick of arrival in each started gene; None before it
+        self.arrivals: list[int | None] = []  # tick of the arrival in each started gene, or None
         self.row = 0
         self.column = 0
         self.target = 0.0  # distance from the ego to the cell's centre along the road [m]
         self.target_speed = 0.0
-        self.kept_lane = NO_LANE  # kept until the gene ends, because it has arrived or its target lane does not exist
-        self.kept_speed = 0.0  # in the kept lane or the shift lane [m/s]
-        self.shift_lane = NO_LANE  # target of a Lane-Instruction
-        self.heading_for = 0  # lane to which it steered in the previous tick
+        self.kept_lane = NO_LANE  # lane that is kept until the gene ends, after arrival or without a target lane
+        self.kept_speed = 0.0  # desired speed in the kept lane or the shift lane [m/s]
+        self.shift_lane = NO_LANE  # target lane of a Lane-Instruction
+        self.heading_for = 0  # lane to which the NPC steered in the previous tick
         self.asked = 0.0  # acceleration in the previous tick [m/s^2]
         self.course = 0.0  # direction of motion after the previous tick's steering [rad]
-        # Number of ticks directly behind the ego. It starts at the reaction time if the NPC moved in itself, so that it
-        # reacts immediately.
+        # The number of ticks for which the NPC has been directly behind the ego. If the NPC moved there itself, the
+        # count starts at the reaction time, so that the NPC reacts immediately.
         self.behind = NOT_BEHIND
 
 
 class BaseDirector:
-    """The director of the NPCs of one run on any road.
+    """The base class of directors, which control the NPCs of one run.
 
-    Subclasses also have ``first_cells``, ``arrivals``, ``executed`` and ``driven_cells``, for the trace of a run.
+    Subclasses also have ``first_cells``, ``arrivals``, ``executed`` and ``driven_cells``, for the trace.
     """
 
     def __init__(self, npcs: list[Any]) -> None:
@@ -102,22 +102,22 @@ class BaseDirector:
         return starts
 
     def command(self, ego: Body) -> None:
-        """Set acceleration and steering of each NPC for the coming tick."""
+        """Set the controls of each NPC for the coming tick."""
 
     def ceiling(self, npc: Npc) -> float:
         """Return the highest speed at which an NPC of another director avoids this director's NPCs [m/s]."""
         raise NotImplementedError
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether these NPCs leave room for another director's NPC to enter a lane of the ego's path."""
+        """Return whether this director's NPCs leave room for another director's NPC to enter a lane."""
         raise NotImplementedError
 
 
 class Director(BaseDirector):
-    """The director of the NPCs of one run on a straight road.
+    """The director for straight roads.
 
-    ``cells`` has the existing cells for each lane of the ego, and ``clearance`` is the gap between the ego and the
-    cells ahead and behind [m]. If ``skips`` is true, steps on the ring skip cells that do not exist.
+    ``cells`` contains the cells that exist for each lane of the ego, and ``clearance`` is the gap between the ego and
+    the cells ahead and behind [m]. If ``skips`` is true, steps on the ring skip cells that do not exist.
     """
 
     def __init__(
@@ -150,16 +150,16 @@ class Director(BaseDirector):
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         traffic = STYLES[scenario.traffic]
-        self._row = self._far = 0.0  # of the longest NPC
+        self._row = self._far = 0.0  # largest half_lengths, and distance from which no NPC follows another [m]
         self._is_mixed = bool(scenario.vehicles)
         self._aside = CAR.width + BESIDE
         before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
-            if kind is not before:  # else it shares the controller, which keeps nothing between two calls
+            if kind is not before:  # equal vehicles share a controller, which keeps no state between two calls
                 before, own = kind, limits.of(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
-                # half of both lengths together, and how much half of the NPC's length exceeds half of a car's [m]
+                # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
                 half_lengths, longer = (ego_length + npc.length) / 2.0, max(npc.length - CAR.length, 0.0) / 2.0
                 self._row = max(self._row, half_lengths)
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
@@ -171,10 +171,10 @@ class Director(BaseDirector):
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._easing = -speed_for_braking(traffic.braking, 0.0)  # largest decrease of the desired speed [m/s]
+        self._easing = -speed_for_braking(traffic.braking, 0.0)  # largest reduction of the current speed [m/s]
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._kept = self._reaction + 1  # ticks; two speeds are needed for the ego's braking
+        self._kept = self._reaction + 1  # number of stored ticks; the ego's braking is computed from two speeds
         if self._attentive:
             self._seen = array("d", [0.0]) * (2 * self._kept)  # a ring buffer of the ego's x and speed
         self._tick = 0
@@ -195,18 +195,18 @@ class Director(BaseDirector):
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """The cell that each NPC reached in each started gene, or empty if ``executed`` expresses it."""
+        """The cells that the NPCs aimed for in their started genes. Empty if ``executed`` contains them."""
         return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """The tick at which each NPC reached the cell of each started gene, or None if it has not."""
+        """For each started gene of each NPC, the tick of the arrival, or None if the NPC has not arrived."""
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """Return the cells in which the NPCs start, after invalid cells were replaced."""
+        """Return the cells in which the NPCs start, after replacing invalid cells."""
         existing = self._first_existing()
-        # NPCs on the grid come first; the other NPCs get the cells that are left.
+        # NPCs on the grid come first. The other NPCs get the remaining cells.
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
         on_grid, free = iter(held), iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
@@ -216,7 +216,7 @@ class Director(BaseDirector):
             self._left = self._gene_ticks
             if self._gene < self._genes:
                 self._begin_gene(ego)
-                for npc in self.npcs:  # after a chain shorter than the longest: lane and speed stay (paper, section 2)
+                for npc in self.npcs:  # an NPC keeps lane and speed after the end of a shorter chain (paper, section 2)
                     if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
                         npc.kept_lane = npc.lane
                         npc.kept_speed = npc.speed
@@ -236,7 +236,7 @@ class Director(BaseDirector):
         return False
 
     def _remember(self, ego: Body) -> None:
-        """Store the ego's position and speed for late reactions."""
+        """Store the ego's position and speed for delayed reactions."""
         seen = self._seen
         if self._tick == 0:  # before the first tick, the ego is assumed to have driven at its start speed
             for place in range(1, self._kept):
@@ -264,7 +264,7 @@ class Director(BaseDirector):
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
-        for npc in self._in_lanes:  # a Lane-Instruction to a lane that does not exist keeps the lane
+        for npc in self._in_lanes:  # if the lane of a Lane-Instruction does not exist, the NPC keeps its lane
             if gene < len(npc.chain):
                 instruction = npc.chain[gene]
                 wanted_lane = npc.lane + instruction.column
@@ -291,7 +291,7 @@ class Director(BaseDirector):
         return repair_gene(before, wanted, existing, coins, skipping=self.skips)
 
     def _control(self, npc: Npc, ego: Body) -> None:
-        # Arrivals first: they decide which lane and speed are desired in this tick.
+        # Arrivals come first, because they determine the desired lane and speed in this tick.
         target = self._target(npc, ego) if self._attentive else npc.target
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
@@ -321,20 +321,20 @@ class Director(BaseDirector):
         """Return the position of an attentive NPC's cell along the road, relative to the ego [m]."""
         if npc.row == 0 or npc.column != 0:
             return npc.target
-        if npc.row < 0:  # in the ego's lane, it follows the ego, or may move in ahead of it
+        if npc.row < 0:  # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
             return -(npc.half_lengths + max(self._clearance, following_gap(ego.speed)))
         return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
-        """Return the gap that this traffic requires for moving in ahead of an ego at the same speed [m]."""
+        """Return the gap that this driving style requires for moving in ahead of an ego at the same speed [m]."""
         return max(self._least_gap, self._time_gap * ego.speed)
 
     def _stretch(self, body: Body) -> float:
-        """Return the metres that a vehicle drives per metre along the road."""
+        """Return the distance that a vehicle drives per metre along the road."""
         return 1.0
 
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
-        """Limit a desired speed to the traffic's style, and leave room behind the ego [m/s]."""
+        """Limit a desired speed according to the driving style and the gap to an ego ahead [m/s]."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
         is_behind = npc.x < ego.x and (
@@ -351,13 +351,13 @@ class Director(BaseDirector):
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
-        # An ego that brakes behind another NPC is expected, so the NPC sees it now. Otherwise it reacts late.
+        # The NPC expects an ego behind another NPC to brake, and reacts immediately. Otherwise, it reacts late.
         is_led = self._is_led(ego)
         x, ego_speed = ego.x, ego.speed
-        ahead = 0.0  # expected distance that the ego has driven since then, if it brakes on as it did [m]
+        ahead = 0.0  # expected distance that the ego has driven since then, if it is still braking as before [m]
         if not is_led and self._tick > 0:
             seen = self._seen
-            before, place = self._tick % self._kept, (self._tick + 1) % self._kept  # the two oldest
+            before, place = self._tick % self._kept, (self._tick + 1) % self._kept  # the two oldest entries
             x, ego_speed = seen[2 * place], seen[2 * place + 1]
             gained = ego_speed - seen[2 * before + 1]
             braking = max(-gained * self._reaction / self._delay, 0.0)
@@ -365,7 +365,7 @@ class Director(BaseDirector):
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
-        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as standing
+        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as stationary
         if not is_led:
             safe = max(safe, speed_for_braking(ANSWER, npc.speed))
         return min(speed, safe)
@@ -373,7 +373,8 @@ class Director(BaseDirector):
     def _may_enter(self, npc: Npc, ego: Body) -> bool:
         gap = abs(npc.x - ego.x) * self._stretch(ego) - npc.half_lengths
         if npc.x > ego.x:
-            # An NPC in lanes brakes to its target speed while it moves in; one on the grid first reaches its cell.
+            # An NPC with a Lane-Instruction brakes to its target speed while it moves in. An NPC on the grid first
+            # reaches its cell.
             speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
             closing = max(ego.speed - speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
@@ -401,15 +402,15 @@ class Director(BaseDirector):
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the lane to steer to: one step towards the target lane if no vehicle obstructs it."""
+        """Return the lane to steer to, which is one step towards the target lane if no vehicle obstructs it."""
         lane = npc.lane
         if lane == target_lane:
             return lane
         step = lane + 1 if target_lane > lane else lane - 1
         beside_ego = abs(npc.x - ego.x) < npc.half_lengths + self._clearance / 2.0
         if step == ego.lane and (beside_ego or (self._attentive and not self._may_enter(npc, ego))):
-            return lane  # an NPC cuts in ahead or behind; it does not steer into the ego's side
-        for other in self.npcs:  # one step at a time, and only into a lane with room
+            return lane  # an NPC moves in ahead of the ego or behind it, but does not steer into its side
+        for other in self.npcs:  # an NPC enters only a lane with room
             if other is not npc and not self._clear_of(npc, other, step):
                 return lane
         return step
@@ -422,7 +423,7 @@ class Director(BaseDirector):
         if not (in_lane or claims):
             return True
         front, rear = mine, theirs
-        if theirs.x > mine.x:  # compiled, a conditional expression would make a tuple
+        if theirs.x > mine.x:  # in compiled code, a conditional expression would create a tuple
             front, rear = theirs, mine
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
@@ -435,7 +436,7 @@ class Director(BaseDirector):
             distance = theirs.x - mine.x
             if distance < 0.0 or distance >= self._far or theirs is mine:
                 continue
-            # of two at the same position, the one with the higher index follows
+            # of two NPCs at the same position, the one with the higher index follows
             if distance == 0.0 and theirs.index > mine.index:
                 continue
             aside = self._aside
@@ -456,11 +457,11 @@ class Director(BaseDirector):
 
 
 class NetworkDirector(Director):
-    """The director of the NPCs of one run on a :class:`NetworkRoad`.
+    """The director for a :class:`NetworkRoad`.
 
     NPCs enter only a lane that continues, and leave it before it ends. An NPC that cannot pass the ego in another lane
-    follows it. Bodies have a nominal lateral position, and a heading relative to the ego's path. The course of
-    an NPC is a direction in the world. ``others`` directs the NPCs on their own paths, or is None.
+    follows the ego. Bodies have a nominal lateral position, and a heading relative to the ego's path. The course of an
+    NPC is a direction in the world. ``others`` is the director of the crossing NPCs, or None.
     """
 
     def __init__(
@@ -483,7 +484,7 @@ class NetworkDirector(Director):
 
     @property
     def executed(self) -> Scenario:
-        # Chains step only between neighbouring cells, so they cannot express skipped ones.
+        # A chain contains only steps between neighbouring cells, so it cannot express a step that skipped a cell.
         return self._scenario if self.driven_cells else super().executed
 
     @property
@@ -513,7 +514,7 @@ class NetworkDirector(Director):
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         distance = front.x - rear.x
-        distance *= min(self._stretch(front), self._stretch(rear))  # in a bend, the shorter side counts
+        distance *= min(self._stretch(front), self._stretch(rear))  # in a bend, the shorter distance counts
         return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
@@ -524,13 +525,13 @@ class NetworkDirector(Director):
         self._move(npc, goal, self._following(npc, wanted))
 
     def _move(self, npc: Npc, goal: int, wanted: float) -> None:
-        if self.others is not None:  # paths of other traffic, bends and ends ahead limit the speed
+        if self.others is not None:  # crossing NPCs, bends and ends of lanes limit the speed
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
         gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
         wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
         wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
-        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # so that it can turn back if turned outwards
+        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # so that an NPC turned outwards can turn back
             changing = math.sqrt(CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9))
             wanted = min(wanted, max(npc.speed, changing))
         npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
@@ -553,7 +554,7 @@ class NetworkDirector(Director):
         elif npc.kept_lane < 0:
             exists = self._bends.exists(target_lane, target)
             self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
-        # With a lane, the speed is that of the instruction; with a cell, it follows the ego.
+        # If the goal is a lane, the desired speed is the instruction's. If it is a cell, it depends on the ego's speed.
         if npc.kept_lane >= 0 or shift >= 0:
             return self._next_lane(npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
@@ -567,11 +568,11 @@ class NetworkDirector(Director):
         return goal, wanted
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the next lane towards the target if it continues, or a neighbour if the NPC's own lane ends."""
+        """Return the next lane towards the target lane, or a neighbouring lane if the NPC's own lane ends."""
         wanted = self._step(npc, target_lane, ego)
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted
-        # Its own lane ends: it prefers the neighbour that is nearer to the ego's lane.
+        # The NPC's lane ends, so it prefers the neighbouring lane that is nearer to the ego's lane.
         side, other = npc.lane - 1, npc.lane + 1
         if abs(other - ego.lane) < abs(side - ego.lane):
             side, other = other, side
@@ -592,7 +593,7 @@ class NetworkDirector(Director):
     def _steer(self, npc: Npc, goal: int) -> None:
         bends, driver = npc.bends, npc.driver
         direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
-        # where it is after the coming tick, for the change of direction in it
+        # the position after the coming tick, from which the change of direction in that tick follows
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
         later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(

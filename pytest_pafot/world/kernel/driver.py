@@ -1,7 +1,7 @@
-"""The control of NPCs, and the steering for a :class:`pytest_pafot.Drive`: cascaded control under hard limits.
+"""Cascaded controllers with hard limits, for NPCs and for the steering of a :class:`pytest_pafot.LaneCommand`.
 
-The paper moves NPCs "based on a PID controller" (section 2.1) and states no gains. With these gains, a lane change at
-motorway speed takes two seconds without overshoot.
+The paper moves NPCs "based on a PID controller" (section 2.1) but states no gains. With the gains in this module, a
+lane change at motorway speed takes two seconds without overshoot.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import math
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.limits import NpcLimits
 
-SPEED_GAIN = 1.5  # acceleration per difference to the desired speed [1/s]
+SPEED_GAIN = 1.5  # acceleration per unit of speed error [1/s]
 GAP_GAIN = 0.7  # speed relative to the ego, per metre of distance to the cell's centre [1/s]
-GAP_BRAKING = 2.5  # planned deceleration for stopping relative to the ego at a far cell without overshoot [m/s^2]
+GAP_BRAKING = 2.5  # planned deceleration relative to the ego on the way to a distant cell, to avoid overshoot [m/s^2]
 LATERAL_GAIN = 1.4  # lateral speed per metre of distance to the lane's centre [1/s]
-# turning rate per difference to the desired heading [1/s]; lower if ticks are too long for a stable control
+# turning rate per unit of heading error [1/s]; reduced if long ticks would make the control unstable
 HEADING_GAIN = 5.0
-# proportion of the lateral acceleration planned for the end of a lane change; the rest is for control
+# proportion of the lateral acceleration that is planned for the end of a lane change; the rest is left for corrections
 LATERAL_SHARE = 0.7
 # proportion of the lateral acceleration for speeding up at an angle to the lane; the rest straightens the vehicle
 TURNED_SHARE = 0.65
-# proportion of a lateral limit that is used, so that rounding and changes of speed do not exceed the limit
+# proportion of a lateral limit that the control uses, so that rounding and speed changes cannot exceed the limit
 MARGIN = 0.97
 FOLLOWING_GAP = 2.0  # gap to a stationary vehicle ahead [m]
 FOLLOWING_TIME = 0.4  # time in which braking builds up [s]
@@ -30,24 +30,24 @@ CAR_LENGTH = CAR.length  # [m]; unlike CAR.length, it is a C number in compiled 
 MAX_SLIP = 0.4  # largest slip angle, which limits the steering of the wheels [rad]
 LEAST_SPARE = 0.15  # proportion of the lateral acceleration that a lane change may always use, even in a sharp bend
 
-# The following numbers are for a Drive, which also limits lateral jerk. They were found by trial: with them, no lane
-# change overshoots at any speed, frequency or limit. Larger ones save at most a tenth of the time, but overshoot by up
-# to 0.2 m.
+# The following numbers are for a LaneCommand, which also limits lateral jerk. They were found by trial: no lane change
+# overshoots, regardless of speed, frequency and limits. Larger numbers save at most a tenth of the time, but cause
+# overshoot of up to 0.2 m.
 LANE_ANGLE = 0.5
-"""The largest angle to the lane during a lane change of a :class:`Drive`: the default limit of NPCs [rad]."""
+"""The largest angle to the lane while a LaneCommand changes lanes, which equals the default limit of NPCs [rad]."""
 # proportion of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan
 TRACKING_SHARE = 0.4
-TRACKING_GAIN = 4.0  # lateral acceleration per error of the lateral speed [1/s]; at most 0.5 / dt, to be stable
-CLOSEST_GAIN = 3.0  # highest planned lateral speed per distance to the lane's centre [1/s]
-SPEEDING_UP = 6.0  # possible acceleration along the road during a lane change: the highest of an ego [m/s^2]
+TRACKING_GAIN = 4.0  # lateral acceleration per unit of lateral speed error [1/s]; at most 0.5 / dt, for stability
+CLOSEST_GAIN = 3.0  # highest planned lateral speed per metre of distance to the lane's centre [1/s]
+SPEEDING_UP = 6.0  # assumed acceleration along the road during a lane change, which is an ego's maximum [m/s^2]
 # A length that limits the planned lateral acceleration to cbrt(length * jerk^2) [m]. A higher acceleration would take
-# so long to build up that the lane change became slower. The length was found by trial on lanes of 4 m.
+# so long to build up that the lane change would be slower. The length was found by trial on lanes 4 m wide.
 USEFUL_WIDTH = 2.5
 HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 def gap_speed(distance: float) -> float:
-    """Return the speed relative to the ego for closing a distance to a cell without overshoot [m/s]."""
+    """Return the speed relative to the ego at which an NPC closes the distance to its cell without overshoot [m/s]."""
     magnitude = min(GAP_GAIN * abs(distance), math.sqrt(2.0 * GAP_BRAKING * abs(distance)))
     return math.copysign(magnitude, distance)
 
@@ -55,7 +55,7 @@ def gap_speed(distance: float) -> float:
 def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
     """Return the highest speed that leaves room to stop behind a braking leader [m/s].
 
-    ``gap`` is from bumper to bumper [m].
+    ``gap`` is measured from bumper to bumper [m].
     """
     room = gap - FOLLOWING_GAP - FOLLOWING_TIME * own_speed
     return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
@@ -72,22 +72,22 @@ def speed_for_braking(braking: float, speed: float) -> float:
 
 
 def stopping_room(top_speed: float) -> float:
-    """Return the smallest gap behind a stationary leader at which an NPC may drive at its top speed [m]."""
+    """Return the smallest gap to a stationary leader at which an NPC may drive at its top speed [m]."""
     return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
 
 
 def clear_to_enter(gap: float, closing_speed: float) -> bool:
     """Return whether an NPC may enter a lane in front of or behind another NPC.
 
-    The closing speed is the rear NPC's speed minus the front NPC's [m/s].
+    The closing speed is the rear NPC's speed minus the front NPC's speed [m/s].
     """
     return gap > closing_room(3.0, closing_speed)
 
 
 def closing_room(gap: float, closing_speed: float) -> float:
-    """Return the gap in which a vehicle can lose a closing speed without hard braking [m].
+    """Return the gap that a vehicle needs to lose a closing speed without hard braking [m].
 
-    At equal speeds it is ``gap``.
+    At equal speeds, it is ``gap``.
     """
     closing = max(closing_speed, 0.0)
     return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
@@ -99,7 +99,7 @@ def clamp(value: float, bound: float) -> float:
 
 
 class NpcDriver:
-    """The controller of acceleration and steering of an NPC.
+    """The controller of an NPC's acceleration and steering.
 
     ``course`` is the direction of motion after the last steering, relative to the lane [rad].
     """
@@ -120,7 +120,7 @@ class NpcDriver:
         self._slow = min(0.1, MARGIN * lateral * dt / MAX_SLIP)
         self._tightest = 2.0 * math.sin(MAX_SLIP) / length  # curvature of the tightest turn [1/m]
         self._most = min(limits.heading, TURNED_SHARE * lateral / limits.acceleration)
-        # The ends of a long vehicle that is turned swing out no farther than those of a car.
+        # The angle of a long vehicle is limited so that its ends swing out no farther than the ends of a car.
         self._swing = math.inf
         if length > CAR_LENGTH:
             self._swing = math.asin(math.sin(limits.heading) * CAR_LENGTH / length)
@@ -128,27 +128,27 @@ class NpcDriver:
         self.course = 0.0
 
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
-        """Return the acceleration towards a speed, within all limits [m/s^2]."""
+        """Return the acceleration towards a desired speed, within all limits [m/s^2]."""
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
-        lowest = lowest if lowest > -self._braking else -self._braking  # max() is slow interpreted
+        lowest = lowest if lowest > -self._braking else -self._braking  # max() is slower if interpreted
         acceleration = lowest if acceleration < lowest else acceleration
         acceleration = highest if acceleration > highest else acceleration
-        # Near the top speed, the acceleration stays so low that the accelerator can still be released in time under the
-        # limit of jerk. See _released.
+        # Near the top speed, the acceleration stays low enough to fall to zero in time within the jerk limit. See
+        # _released.
         if acceleration > 0.0:
             return self._released(acceleration, speed)
         if speed + acceleration * self._dt < 0.0:
             acceleration = -speed / self._dt
             while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
-                acceleration = math.nextafter(acceleration, math.inf)  # a simulator may already have done so
+                acceleration = math.nextafter(acceleration, math.inf)  # not 0, because a simulator may have reversed it
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
         release = 0.0
         # Accelerations a, a - j dt, a - 2 j dt, ... add at most (a + j dt / 2)^2 / (2 j) to the speed. So a limit that
-        # applies at one tick also applies at the next.
+        # is met at one tick can also be met at the next.
         if speed < self.top_speed:
             release = math.sqrt(self._jerk_twice * (self.top_speed - speed)) - self._jerk_step / 2.0
             release = max(release, 0.0)
@@ -158,7 +158,7 @@ class NpcDriver:
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
         """Return the steering angle towards the centre of a lane, for highway-env's bicycle model [rad].
 
-        ``offset`` is positive to the right of the lane's centre [m]. ``heading`` and ``course``, the direction of
+        ``offset`` is the distance to the right of the lane's centre [m]. ``heading`` and ``course``, the direction of
         motion in the previous tick, are relative to the lane [rad].
         """
         if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
@@ -173,13 +173,13 @@ class NpcDriver:
 
         Args:
             offset, heading, course, speed: as for :meth:`steering`.
-            lean: angle to the lane of a vehicle that follows it exactly [rad].
-            turn: change of heading of such a vehicle in the coming tick [rad].
-            sharpest: largest curvature of the lane until the end of a possible lane change [1/m].
+            lean: angle between the lane and a vehicle that follows it exactly [rad].
+            turn: heading change of that vehicle in the coming tick [rad].
+            sharpest: largest curvature of the lane within the length of a lane change [1/m].
         """
         self.course = heading
         if speed < self._slow:
-            return 0.0  # slow enough to straighten the wheels at once
+            return 0.0  # slow enough to straighten the wheels immediately
         distance = abs(offset)
         aside = heading - lean
         # Following the lane already uses some lateral acceleration, so steering back takes longer in a bend.
@@ -187,7 +187,7 @@ class NpcDriver:
         planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
-        # The heading approaches the course later, and must not exceed its own limit: the lean reduces the angle.
+        # The heading follows the course with a delay and must not exceed its own limit, so the lean reduces the angle.
         bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
         bound = max(min(bound, self._swing), 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
@@ -206,7 +206,7 @@ class NpcDriver:
 
 
 class LaneTracker:
-    """A controller that steers a car along and between lanes, under limits of lateral acceleration and jerk."""
+    """A controller that steers a car along and between lanes, within limits of lateral acceleration and jerk."""
 
     def __init__(self, length: float, dt: float) -> None:
         self._dt = dt
@@ -216,11 +216,11 @@ class LaneTracker:
         self._course = self._acceleration = self._angle = 0.0  # course is heading plus slip
 
     def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
-        """Start with a car's heading, steering angle and speed [rad, rad, m/s]."""
+        """Start with a car's heading [rad], steering angle [rad], speed [m/s] and lateral limit [m/s^2]."""
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
         self._course = heading + slip - rate * self._dt
-        self._acceleration = clamp(speed * rate, most)  # a sharper turn ends at once; it led off the road
+        self._acceleration = clamp(speed * rate, most)  # a sharper turn would lead off the road
         self._angle = angle
 
     def steering(self, offset: float, heading: float, speed: float, most: float, jerk: float) -> float:
@@ -230,14 +230,14 @@ class LaneTracker:
         """
         if speed < 0.01:
             self._acceleration = 0.0
-            return self._angle  # a standing car does not turn its wheels
+            return self._angle  # a stationary car does not turn its wheels
         turning = self._tightest * speed * speed
-        # The heading follows the course within half the car's length. Speeding up meanwhile makes the turn sharper.
+        # The heading follows the course within half the car's length. Speeding up on that distance sharpens the turn.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
         limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
-        # A lateral speed from which the car can still stop at the lane's centre; the course turns towards it.
+        # The course turns towards a lateral speed from which the car can still stop at the lane's centre.
         planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
-        # The distance to stop from a lateral speed v is v^2 / 2a, plus v a / 2j for building up the braking a.
+        # The stopping distance from a lateral speed v is v^2 / 2a, plus v a / 2j while the deceleration a builds up.
         ramp = max(planned * planned / (2.0 * LATERAL_SHARE * step), planned / CLOSEST_GAIN)
         lateral_speed = math.sqrt(ramp * ramp + 2.0 * planned * abs(offset)) - ramp
         slope = planned / (lateral_speed + ramp)

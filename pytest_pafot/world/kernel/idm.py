@@ -1,8 +1,8 @@
-"""highway-env's vehicles with a goal, which some of them choose with the Intelligent Driver Model (IDM) and MOBIL.
+"""highway-env's controlled vehicles, including vehicles with the Intelligent Driver Model (IDM) and MOBIL.
 
 :class:`GoalVehicle` is highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on a straight road, and
-:class:`NetworkVehicle` on any road. The equations are highway-env's, operation by operation. NPCs are not IDM vehicles,
-so the model takes their current speed as their desired speed.
+:class:`NetworkVehicle` on any road. The equations equal highway-env's, operation by operation. NPCs are not IDM
+vehicles, so the model assumes that they desire their current speed.
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
@@ -24,16 +24,16 @@ from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.kernel.places import Places
 
-ON_LANE = 1.0  # the distance outside a lane's lines up to which a vehicle is still in the lane [m]
-LANE_ENDS = 5.0  # the distance past a lane's ends up to which a vehicle is still in the lane [m]
+ON_LANE = 1.0  # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
+LANE_ENDS = 5.0  # distance past a lane's ends within which a vehicle still counts as in the lane [m]
 NOWHERE = float("nan")
-PURSUIT = 0.1  # the time for which a vehicle looks ahead along its lane to steer [s]
+PURSUIT = 0.1  # time by which a vehicle looks ahead along its lane to steer [s]
 MOMENTS, APART = 11, 0.25  # number of moments at which highway-env predicts vehicles, and time between them [s]
-LONGER, NARROWER = 1.5, 0.9  # the factors of a vehicle's length and width in these predictions
+LONGER, NARROWER = 1.5, 0.9  # factors for a vehicle's length and width in these predictions
 
 
 class GoalVehicle(Body):
-    """A vehicle that drives towards a goal, a lane and a speed, which it can choose itself with IDM and MOBIL."""
+    """A vehicle that drives towards a target lane and a target speed, which IDM and MOBIL can choose."""
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
         super().__init__(constants["LENGTH"], constants["WIDTH"])
@@ -56,28 +56,28 @@ class GoalVehicle(Body):
         self._max_steering = constants["MAX_STEERING_ANGLE"]
         self._kp_speed = constants["KP_A"]
         self._changes_lanes = True
-        self.closest = 0  # lane in which it is, until the next step
-        self.goal = 0  # lane
+        self.closest = 0  # nearest lane after the last step
+        self.goal = 0  # target lane
         self.target_speed = 0.0
-        self.timer = 0.0  # since its last decision on lanes [s]
-        self._routed = -1  # the lane that a route demands, counted from the left; -1 for none
+        self.timer = 0.0  # time since the last decision about lanes [s]
+        self._routed = -1  # lane that the route requires, counted from the left; -1 for none
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """Start a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
+        """Start a run at x [m], y [m], heading [rad] and speed [m/s]. The speed is also the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
         self.closest = self.goal = self._find_lane(self)
         self.target_speed = speed
-        self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
+        self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that vehicles decide at different times
 
     def pursue(self) -> None:
-        """Set acceleration and steering for the coming tick towards the goal, regardless of other vehicles."""
+        """Set the controls for the coming tick to reach the goal, regardless of other vehicles."""
         self._follow_road()
         self.steering = self._steering()
         self.acceleration = self._kp_speed * (self.target_speed - self.speed)
 
     def act(self, others: list[Body]) -> None:
-        """Set acceleration and steering for the coming tick, with IDM and MOBIL if it drives itself."""
+        """Set the controls for the coming tick, with IDM and MOBIL if the vehicle drives itself."""
         if not self.drives_itself:  # its goal or its controls are set from outside, for example by meta-actions
             if self.has_goal:
                 self.pursue()
@@ -97,7 +97,7 @@ class GoalVehicle(Body):
         Body.step(self, dt)  # C methods have no super()
         self.closest = self._find_lane(self)
 
-    # What a road of another shape replaces.
+    # NetworkVehicle overrides most of the following methods.
 
     def _find_lane(self, vehicle: Body) -> int:
         return self._lanes.closest(vehicle.x, vehicle.y, vehicle.heading)
@@ -129,20 +129,20 @@ class GoalVehicle(Body):
     def _gains(self, lane: int, others: list[Body]) -> bool:
         """Return whether MOBIL recommends a change to a lane."""
         ahead, behind = self._ahead(others, lane), self._behind(others, lane)
-        behind_then = self._idm(behind, self)  # the new follower must not brake hard, even on a route
+        behind_then = self._idm(behind, self)  # the new follower must not brake hard, even if a route requires it
         if behind_then < -self._max_imposed:
             return False
         left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
         own = self._idm(self, ahead)
         if self._routed >= 0:
             return self._is_demanded(lane) and own >= -self._max_imposed
-        # Kesting et al. 2007: the own gain and the others' gain, weighted by politeness
+        # Kesting et al. 2007: the gain of this vehicle, plus the gain of both followers weighted by politeness
         own_gain = own - self._idm(self, left)
         others_gain = behind_then - self._idm(behind, ahead) + self._idm(follower, left) - self._idm(follower, self)
         return own_gain + self._politeness * others_gain >= self._min_gain
 
     def _idm(self, vehicle: Body | None, front: Body | None) -> float:
-        """Return the acceleration that IDM gives a vehicle behind ``front`` [m/s^2]."""
+        """Return the acceleration of a vehicle behind ``front`` according to IDM [m/s^2]."""
         if vehicle is None:
             return 0.0
         # other vehicles are assumed to desire their current speed
@@ -176,7 +176,7 @@ class GoalVehicle(Body):
         return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle ahead in a lane, or the last of several at the same position."""
+        """Return the nearest vehicle ahead in a lane. Of several at the same position, the last one counts."""
         found = None
         for other in others:
             if (
@@ -189,7 +189,7 @@ class GoalVehicle(Body):
         return found
 
     def _behind(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle behind in a lane, or the first of several at the same position."""
+        """Return the nearest vehicle behind in a lane. Of several at the same position, the first one counts."""
         found = None
         for other in others:
             if other.x < self.x and (found is None or other.x > found.x) and _is_on(other, lane, self._lanes):
@@ -207,10 +207,10 @@ class StaticObstacle(Body):
 
 
 class NetworkVehicle(GoalVehicle):
-    """A vehicle with a goal on any road.
+    """A :class:`GoalVehicle` on a road of any shape.
 
     ``following`` takes a lane and a vehicle's x and y [m]. It returns the next lane, and the lane that the route then
-    requires, counted from the left, or -1. ``route`` returns the remaining lanes of the route for a lane.
+    requires, counted from the left, or -1. ``route`` takes a lane, and returns the remaining lanes of the route.
     """
 
     def __init__(
@@ -293,7 +293,7 @@ class NetworkVehicle(GoalVehicle):
         return found
 
     def _along(self, lane: int, other: Body) -> float:
-        """Return the position of another vehicle along a lane [m], or NaN if it is on none of the searched lanes."""
+        """Return the position of a vehicle along a lane [m], or NaN if the vehicle is on none of the searched lanes."""
         network = self._network
         for each, begins in self._searched[lane]:
             if network.is_on(each, other.x, other.y, ON_LANE):
@@ -302,7 +302,7 @@ class NetworkVehicle(GoalVehicle):
 
 
 class EgosRoadRules:
-    """The rules of highway-env's ``RegulatedRoad`` for an ego that drives with IDM. No other vehicle obeys them."""
+    """The right-of-way rules of highway-env's ``RegulatedRoad``, which only an ego with IDM obeys."""
 
     def __init__(
         self,
@@ -323,10 +323,10 @@ class EgosRoadRules:
         self._steps = steps
         self._every = every
         self._lasts = lasts
-        self._predicted = array("d", [0.0]) * (6 * MOMENTS)  # x, y and heading at each moment, of the ego and an NPC
+        self._predicted = array("d", [0.0]) * (6 * MOMENTS)  # x, y and heading at each moment, for ego and NPC
 
     def apply_to_ego(self) -> None:
-        """Count a step of the road, and make the ego yield or continue if a decision is due."""
+        """Count a step of the road. If a decision is due, make the ego yield or continue."""
         self._steps += 1
         if self._steps % self._every:
             return
@@ -386,7 +386,7 @@ class EgosRoadRules:
         return False
 
     def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
-        """Return whether a vehicle must yield to another one, because its lane has a lower priority or it is behind."""
+        """Return whether a vehicle must yield to another one, which has a higher priority or is ahead."""
         mine, theirs = self._priorities[one.closest], self._priorities[one._lane_of(other)]
         if mine != theirs:
             return mine < theirs
@@ -413,7 +413,7 @@ def _has_corner_inside(
     other_length: float,
     other_width: float,
 ) -> bool:
-    """Return whether a corner, the middle of a side or the centre of a box is inside another one, as in highway-env."""
+    """Return whether a corner, a side's midpoint or the centre of a box is inside another box, as in highway-env."""
     cos, sin = math.cos(heading), math.sin(heading)
     other_cos, other_sin = math.cos(other_heading), math.sin(other_heading)
     for along in range(-1, 2):

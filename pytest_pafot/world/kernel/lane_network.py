@@ -1,6 +1,6 @@
-"""highway-env's road networks in plain numbers, and the Kinematics observation on them.
+"""highway-env's road networks as arrays, and the Kinematics observation.
 
-The equations and the names of options are highway-env's.
+The equations and the names of options are the same as in highway-env.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-SINE, CIRCULAR = 1, 2  # the kinds of lanes other than straight ones, which are 0
-LANE_VALUES = 9  # the number of values for the shape of a lane; see Network
-LANE_ENDS = 5.0  # the distance past a lane's ends up to which a vehicle is still in the lane [m]
-# highway-env's features of a vehicle, in the order of Table
+SINE, CIRCULAR = 1, 2  # kinds of lanes; a straight lane is 0
+LANE_VALUES = 9  # values per lane in `shapes`; see Network
+LANE_ENDS = 5.0  # distance past the ends of a lane within which a vehicle still counts as in the lane [m]
+# highway-env's names for the features of a vehicle, in the order in which Table stores them
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
@@ -26,15 +26,15 @@ class Network:
     """The lanes of a road network, in the order of highway-env's ``lanes_dict()``.
 
     Args:
-        kinds: the kind of each lane: 0 for a straight one, 1 for a sine, 2 for a circle.
-        shapes: nine values for each lane, padded with zeros. A straight lane has x and y of its start [m], its
-            direction as a vector, and its heading [rad]. A sine lane also has its amplitude [m], pulsation [rad/m] and
-            phase [rad]. A circular lane has x and y of its centre [m], its radius [m], its start phase [rad] and its
-            direction (1 or -1).
-        lengths, widths, speed_limits: values of each lane [m, m, m/s].
+        kinds: the kind of each lane: 0 for straight, 1 for sine, 2 for circular.
+        shapes: nine values per lane, padded with zeros. A straight lane has the x and y of the start [m], a direction
+            vector and a heading [rad]. A sine lane also has an amplitude [m], a pulsation [rad/m] and a phase [rad]. A
+            circular lane has the x and y of the centre [m], a radius [m], a start phase [rad] and a direction (1 or
+            -1).
+        lengths, widths, speed_limits: length [m], width [m] and speed limit [m/s] of each lane.
         sections: the number of each lane's road section.
         numbers: the number of each lane in its section, from the left.
-        forbidden: 1 for each lane that vehicles may not enter.
+        forbidden: 1 for each lane that vehicles may not enter, else 0.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Network:
         return self._shapes[row + 5] * math.sin(self._shapes[row + 6] * self.along + self._shapes[row + 7])
 
     def heading_at(self, lane: int, along: float) -> float:
-        """Return a lane's direction at a distance along it [rad]."""
+        """Return a lane's direction at a distance from its start [rad]."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             turn = self._shapes[row + 4]
@@ -116,20 +116,20 @@ class Network:
         return heading
 
     def closest(self, x: float, y: float, heading: float) -> int:
-        """Return the first lane with the smallest sum of distances along and across it [m] and angle to it [rad]."""
+        """Return the first lane with the smallest sum of distance [m] and angle [rad] to a vehicle."""
         best, nearest = math.inf, 0
         for lane in range(self.count):
             self.locate(lane, x, y)
             along, length = self.along, self.lengths[lane]
             distance = abs(self.across) + max(along - length, 0.0) + max(0.0 - along, 0.0)
-            if distance < best:  # the angle can only add to it
+            if distance < best:  # adding the angle can only increase the sum
                 distance += abs(wrap_angle(heading - self.heading_at(lane, along)))
                 if distance < best:
                     best, nearest = distance, lane
         return nearest
 
     def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
-        """Return whether a point is on a lane, widened by a margin on each side [m], and locate it."""
+        """Locate a point, and return whether it is on a lane that is widened by a margin on each side [m]."""
         self.locate(lane, x, y)
         inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
         return inside and abs(self.across) <= self._widths[lane] / 2.0 + margin
@@ -154,7 +154,7 @@ def wrap_angle(angle: float) -> float:
 
 
 class Table:
-    """The Kinematics observation: the features of the ego and of the vehicles nearest along its lane."""
+    """The Kinematics observation, with the features of the ego and of the nearest vehicles along its lane."""
 
     def __init__(
         self, network: Network, lanes: dict[Any, int], options: Any, ranges: Mapping[str, Sequence[float]]
@@ -162,7 +162,7 @@ class Table:
         features = options.features
         self._network = network
         self._lanes = lanes
-        self._values = array("d", [0.0] * len(FEATURES))  # those that were read last
+        self._values = array("d", [0.0] * len(FEATURES))  # features of the vehicle that was read last
         self._has_destination = "cos_d" in features or "sin_d" in features
         self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
         self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
@@ -178,12 +178,13 @@ class Table:
     def observe(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int) -> Any:
         """Return the observation as float32 of shape [vehicles, features].
 
-        The ego observes other vehicles up to ``reach`` [m]. Its x is measured along ``exit_lane``, unless that is -1.
+        The ego observes vehicles up to ``reach`` [m] away. Unless ``exit_lane`` is -1, the ego's x is measured along
+        that lane.
         """
         values, network, count = self._values, self._network, len(vehicles)
         near = self._nearest(ego, vehicles, objects, reach)
         made = np.zeros((max(self._count, len(near) + 1), len(self._columns)), dtype=np.float32)
-        table = made  # typed as a memoryview in the .pxd, so compiled code writes directly
+        table = made  # a typed memoryview in compiled code, to which writing is fast
         self._read(ego, False)
         x, y, vx, vy = values[1], values[2], values[3], values[4]
         if exit_lane >= 0:
@@ -221,7 +222,7 @@ class Table:
                 if behind < ahead or (self._sees_behind and index < count):
                     found.append((abs(ahead), index, other))
         found.sort()
-        return found[: self._count - 1] if self._count > 1 else found  # for highway-env, a count of 0 is no limit
+        return found[: self._count - 1] if self._count > 1 else found  # in highway-env, 0 other vehicles means no limit
 
     def _read(self, vehicle: Any, is_object: bool) -> None:
         values, heading = self._values, vehicle.heading

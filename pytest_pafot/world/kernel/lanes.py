@@ -1,4 +1,4 @@
-"""The lanes of a road in plain numbers: parallel straight lanes, lanes along a curved path, and a single path."""
+"""The geometry of lanes for compiled code: parallel straight lanes, lanes along a curved path, and a single path."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 from pytest_pafot.world.kernel.bodies import Body
 
-ALMOST = 1e-6  # the distance to a lane line below which rounding matters, so that lanes are compared [m]
+ALMOST = 1e-6  # distance from a lane line below which rounding matters, so that all lanes are compared [m]
 
 
 class Lanes:
-    """Parallel lanes of equal length and width [m], numbered from the left."""
+    """Parallel straight lanes of equal length and width [m], numbered from the left."""
 
     def __init__(self, count: int, width: float, length: float) -> None:
         self.count = count
@@ -24,14 +24,14 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane, and return it, or -1 off the road.
+        """Set a body's nearest lane, and return the lane, or -1 if the body is off the road.
 
         If two lanes are equally near, the left one is used. highway-env's vehicles use :meth:`closest` instead.
         """
         across = body.y
         offset = across - body.lane * self.width
         if -self._inside < offset < self._inside and 0.0 <= body.x <= self.length:
-            return body.lane  # its previous lane
+            return body.lane  # still the previous lane
         lanes = across / self.width - 0.5
         if lanes <= 0.0:
             body.lane = 0
@@ -43,8 +43,8 @@ class Lanes:
         return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
-        """Return the lane that highway-env finds: the first with the smallest sum of lateral distance and angle."""
-        # Inside a lane, its centre is nearest; otherwise lanes are compared, as highway-env does.
+        """Return the first lane with the smallest sum of distance [m] and angle [rad], as highway-env does."""
+        # A vehicle that is well inside a lane is nearest to that lane. Otherwise, all lanes are compared.
         near = int(across / self.width + 0.5) if across > 0.0 else 0
         if near < self.count and abs(across - near * self.width) < self._inside:
             return near  # the other terms are equal for all lanes
@@ -58,15 +58,15 @@ class Lanes:
         return lane
 
 
-STEP = 0.5  # the distance between neighbouring points of a line [m]
+STEP = 0.5  # distance between neighbouring points of a line [m]
 HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
-ON_LANE = 1e-6  # the tolerance for rounding within which a vehicle next to a lane is still on it [m]
+ON_LANE = 1e-6  # rounding tolerance at the edges of a lane [m]
 
 
 class Bends:
-    """The lanes along a line, with values at each point of the line.
+    """The lanes along a curved line, with values at each point of the line.
 
-    Lists with values for several lanes have all points of the first lane first.
+    Lists with values for several lanes contain all points of the first lane first.
     """
 
     def __init__(
@@ -78,32 +78,32 @@ class Bends:
         lane_width: float,
     ) -> None:
         x, y, heading = line
-        exists, part = flags  # whether a lane exists there (1 or 0), and its index in the trace, or -1
-        # Distance to the right of the line [m], direction [rad], lean of a vehicle in the lane [rad], highest speed of
-        # NPCs [m/s], and largest curvature during a lane change from there [1/m].
+        exists, part = flags  # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
+        # At each point of a lane: the distance to the right of the line [m], the direction [rad], the lean of a vehicle
+        # in the lane [rad], the highest speed of NPCs [m/s], and the largest curvature during a lane change [1/m].
         across, direction, lean, speed, sharpest = shape
         self._x, self._y, self._heading = array("d", x), array("d", y), array("d", heading)
         self._exists, self._part = array("i", exists), array("i", part)
         self._across, self._direction = array("d", across), array("d", direction)
         self._lean, self._speed = array("d", lean), array("d", speed)
         self._sharpest = array("d", sharpest)
-        self._widths = array("d", widths)  # of the trace's lanes [m]
+        self._widths = array("d", widths)  # widths of Trace.lanes [m]
         self._points = len(x)
         self._lanes = len(exists) // len(x)
         self._end = (len(x) - 1) * STEP
-        self._lane_width = lane_width  # of the ego's lane at the start [m]
-        self.along = self.across = self.angle = self.offset = 0.0  # where `locate` has found a vehicle [m, m, rad, m]
+        self._lane_width = lane_width  # width of the ego's lane at the start [m]
+        self.along = self.across = self.angle = self.offset = 0.0  # results of `locate` [m, m, rad, m]
         self.lane = 0
         self._share = self._x0 = self._y0 = self._direction0 = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        line = list(self._x), list(self._y), list(self._heading)  # worlds send their roads to other processes
+        line = list(self._x), list(self._y), list(self._heading)  # pickled when worlds are sent to other processes
         flags = list(self._exists), list(self._part)
         shape = list(self._across), list(self._direction), list(self._lean), list(self._speed), list(self._sharpest)
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
-        """Return the number of the line's point nearest to a position, or the even one of two equally near."""
+        """Return the index of the point nearest to a position, or the even index if two points are equally near."""
         return min(max(even_rounded(along / STEP), 0), self._points - 1)
 
     def exists(self, lane: int, along: float) -> bool:
@@ -112,7 +112,7 @@ class Bends:
         return self._exists[lane * self._points + self.point(along)] != 0
 
     def continues(self, lane: int, since: float, until: float) -> bool:
-        """Return whether a lane exists from one position to another, or to the end of the road."""
+        """Return whether a lane exists everywhere between two positions, or up to the end of the road."""
         if not 0 <= lane < self._lanes or since < 0.0:
             return False
         row = lane * self._points
@@ -123,22 +123,23 @@ class Bends:
 
     def _between(self, along: float) -> int:
         index = min(max(int(along / STEP), 0), self._points - 2)
-        # Of the step to the next point. It is negative or above 1 past the ends, where the line goes straight on.
+        # The fraction of the step to the next point. It is negative or above 1 past the ends of the line, where the
+        # line continues straight.
         self._share = along / STEP - index
         return index
 
     def _value(self, values: array[float], lane: int, along: float) -> float:
-        """Interpolate a lane's value. It is constant before the start and after the end."""
+        """Interpolate a lane's value, which is constant before the start and after the end."""
         index = self._between(along) + lane * self._points
         share = min(max(self._share, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
     def across_at(self, lane: int, along: float) -> float:
-        """Return the distance of a lane's centre from the line, to the right [m]."""
+        """Return the distance of a lane's centre to the right of the line [m]."""
         return self._value(self._across, lane, along)
 
     def pose(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
+        """Return the world x [m], y [m] and heading [rad] of a vehicle at the centre of a lane."""
         self._refer(along)
         across, sin, cos = self.across_at(lane, along), math.sin(self._direction0), math.cos(self._direction0)
         heading = self.direction_at(lane, along) + self.lean_at(lane, along)
@@ -154,19 +155,17 @@ class Bends:
         return self._sharpest[lane * self._points + self.point(along)]
 
     def heading_at(self, along: float) -> float:
-        """Return the direction of the line [rad]."""
         self._refer(along)
         return self._direction0
 
     def speed_at(self, lane: int, along: float) -> float:
-        """Return the highest speed of an NPC in a lane [m/s]."""
         return self._value(self._speed, lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Return the metres that a vehicle drives per metre of the line, above 1 on the outside of a bend."""
+        """Return the distance that a vehicle drives per metre of the line: more than 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
-        return max(1.0 - bend * across, 0.2)  # beyond the centre of a bend it would be zero or negative
+        return max(1.0 - bend * across, 0.2)  # without the limit, zero or negative past the centre of a bend
 
     def _refer(self, along: float) -> None:
         index = self._between(along)
@@ -177,12 +176,12 @@ class Bends:
         self._direction0 = self._heading[index] + turned
 
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
-        """Find a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
+        """Locate a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
 
-        ``near`` is a position close to the vehicle, because roads may cross themselves [m].
+        ``near`` is a position close to the vehicle [m], because a road can cross itself.
         """
         along = near
-        for _ in range(4):  # each step projects onto the tangent at the last place; this converges in bends, too
+        for _ in range(4):  # each step projects onto the tangent at the last position, which converges even in bends
             self._refer(along)
             cos, sin = math.cos(self._direction0), math.sin(self._direction0)
             ahead = (x - self._x0) * cos + (y - self._y0) * sin
@@ -203,7 +202,7 @@ class Bends:
 
     def in_lanes(self, lane: int, along: float, offset: float) -> float:
         """Return the nominal lateral position of a vehicle with an offset from a lane's centre [m]."""
-        # offsets are scaled so that the neighbour's centre is one nominal lane width away
+        # offsets are scaled so that the centre of the neighbouring lane is one nominal lane width away
         toward = lane + (1 if offset > 0.0 else -1)
         scale = 1.0
         if self.exists(toward, along):
@@ -212,20 +211,20 @@ class Bends:
         return lane * self._lane_width + offset * scale
 
     def part(self, lane: int, along: float, offset: float) -> int:
-        """Return the index of a vehicle's lane in the trace, or -1 if it is on no lane of the path."""
+        """Return the index of a vehicle's lane in Trace.lanes, or -1 if the vehicle is on no lane of the path."""
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]
         return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
 
     def nearest_lane(self, lateral: float) -> int:
-        """Return the lane with the centre nearest to a nominal position."""
-        nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a C function returns a float)
+        """Return the lane with the centre nearest to a nominal lateral position."""
+        nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a float in C)
         return min(max(nearest, 0), self._lanes - 1)
 
 
 class Track:
-    """The points of a path, with the values that an NPC needs at each of them."""
+    """The path of a crossing NPC, with the highest speed and other values at each point."""
 
     def __init__(
         self,
@@ -240,17 +239,17 @@ class Track:
         enters: float,
     ) -> None:
         self._last = len(x) - 1
-        # Index in Trace.lanes at each point, position along the ego's path [m] or NaN, and where the path enters its
-        # zone [m].
+        # The lane of each point as an index in Trace.lanes, the position of each point along the ego's path [m] or NaN,
+        # and the position at which the path enters its zone [m].
         self.parts, self.along_ego, self.enters = array("i", parts), array("d", along_ego), enters
         self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
-        # Angle to the path of a vehicle that follows it [rad], highest speed of an NPC [m/s], and largest curvature
-        # during a lane change from each point [1/m].
+        # At each point: the angle between the path and a vehicle that follows it [rad], the highest speed of an NPC
+        # [m/s], and the largest curvature during a lane change that starts there [1/m].
         self.lean, self.speed, self.sharpest = array("d", lean), array("d", speed), array("d", sharpest)
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
-        return self  # highway-env deep-copies vehicles with their paths to predict them, which is slow
+        return self  # highway-env deep-copies vehicles to predict them, and a copy of the path would be slow
 
     def __reduce__(self) -> tuple[object, ...]:
         x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
@@ -261,7 +260,7 @@ class Track:
         return min(max(int(along / STEP + 0.5), 0), self._last)
 
     def locate(self, x: float, y: float, near: float) -> None:
-        """Find a vehicle close to a position [m], and set ``along``, ``across`` and ``direction``."""
+        """Locate a vehicle close to a position [m], and set ``along``, ``across`` and ``direction``."""
         place = near
         for _ in range(4):  # as in Bends.locate, with the tangent at the last position
             index = min(max(int(place / STEP), 0), self._last - 1)
@@ -280,7 +279,7 @@ class Track:
         self.along = place
 
     def pose(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the path."""
+        """Return the world x [m], y [m] and heading [rad] of a vehicle that follows the path."""
         return (
             self.value(self.x, along),
             self.value(self.y, along),
@@ -288,14 +287,14 @@ class Track:
         )
 
     def value(self, values: array[float], along: float) -> float:
-        """Interpolate the values of an array. They are constant before the start and after the end."""
+        """Interpolate the values of an array, which are constant before the start and after the end."""
         index = min(max(int(along / STEP), 0), self._last - 1)
         share = min(max(along / STEP - index, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
 
 def even_rounded(exact: float) -> int:
-    """Return the nearest whole number, or the even one of two equally near."""
-    below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
+    """Return the nearest integer, or the even one if two are equally near."""
+    below = int(math.floor(exact))  # noqa: RUF046  (a float in C)
     rest = exact - below
     return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below

@@ -1,10 +1,10 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, auto_pickle=False
-# The checks are off because `_note` makes one for all values of a tick.
-"""The loop of a run, on every road and with every kind of ego.
+# Bounds are not checked, because `_note` makes one check for all values of a tick.
+"""The loop that simulates a run, for every kind of road and ego.
 
-Each tick has this order. The ego's driver decides if a decision is due, and sets the ego's controls. The director sets
-the controls of the NPCs, which see the ego at the position of the last tick. All vehicles move, and their positions are
-recorded. Contacts are checked last, so the last row of a record has the contact. Row 0 has the starts.
+In each tick, the ego's driver first decides if a decision is due, and sets the ego's controls. Then the director sets
+the controls of the NPCs, which see the ego at its position in the last tick. Then all vehicles move and are recorded.
+Contacts are checked last, so the last row of a record contains the contact. Row 0 contains the start.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import (
-    Drive,
+    LaneCommand,
     acceleration_to_speed,
     checked_si_action,
     possible_acceleration,
@@ -33,18 +33,18 @@ from pytest_pafot.world.kernel.places import Places
 
 
 class EgoDriver:
-    """The driver of the ego in one run."""
+    """The base class of drivers of the ego in one run."""
 
     def __init__(self, ego: Body, every: int) -> None:
         self.ego = ego
-        self.every = every  # physics ticks between decisions
+        self.every = every  # ticks from one decision to the next
         self.actions: list[Any] = []
-        self.slowest = 0.0  # longest decision [s]
+        self.slowest = 0.0  # duration of the longest decision [s]
 
     def decide(self, tick: int) -> AdsError | None:
         """Call the ADS for its next decision, and return its error, or None.
 
-        Without an ADS, this does nothing.
+        A driver without an ADS does nothing.
         """
         return None
 
@@ -52,15 +52,15 @@ class EgoDriver:
         """Set the ego's controls for the coming tick."""
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the ego for one tick [s], and return the error of the ADS, or None."""
+        """Move the ego by one tick of ``dt`` seconds, and return the error of the ADS, or None."""
         self.ego.step(dt)
         return None
 
 
 class ModelDriver(EgoDriver):
-    """The driver of an ego whose model sets the controls at every tick.
+    """The driver of an ego that a driver model controls at every tick.
 
-    It considers the vehicles and objects in ``others``, and obeys ``rules`` if the road has any.
+    The model reacts to the vehicles and objects in ``others``, and obeys ``rules`` if the road has any.
     """
 
     def __init__(self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None) -> None:
@@ -80,7 +80,7 @@ class ModelDriver(EgoDriver):
 
 
 class GivenDriver(EgoDriver):
-    """A driver that gets its decisions from outside: acceleration [m/s^2] and steering [rad], or a :class:`Drive`."""
+    """A driver that executes decisions: acceleration [m/s^2] and steering [rad], or a :class:`LaneCommand`."""
 
     def __init__(
         self,
@@ -95,28 +95,27 @@ class GivenDriver(EgoDriver):
         kind: VehicleType | None = None,
     ) -> None:
         super().__init__(ego, every)
-        self._place = place  # the ego in road coordinates; the same object if the road starts at the world's origin
+        self._place = place  # the ego in road coordinates; this is `ego` if the road starts at the world's origin
         self._sensor = sensor
         self._lanes = lanes
         self._lane_width = lane_width
         self._dt = dt
-        self._kind = kind  # the type of vehicle if it limits the ego, else None
+        self._kind = kind  # the ego's type of vehicle if that type limits the ego, else None
         self._wanted = 0.0
-        self._lane = -1  # -1 for none, if the decision is a pair
-        self._speed = -1.0  # negative for none, if the decision has an acceleration
-        self._angle = 0.0  # of the wheels, without what a bend adds
+        self._lane = -1  # target lane; -1 if the decision is a pair
+        self._speed = -1.0  # target speed [m/s]; negative if the decision has an acceleration
+        self._angle = 0.0  # steering angle, without the angle for following a bend [rad]
         self._tracker = LaneTracker(ego.length, dt)
-        self._most = self._jerk = 0.0  # lateral limits of a Drive
+        self._most = self._jerk = 0.0  # lateral limits of a LaneCommand
 
     def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
         return self._sensor.observation(tick)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Check and apply a decision that took ``seconds``.
+        """Check and apply an action that took the ADS ``seconds``.
 
         Raises:
-            BadAction: if the action is not valid.
+            BadAction: if the action is invalid.
         """
         checked, sensor = checked_si_action(action, self._lanes), self._sensor
         self._speed = -1.0
@@ -126,29 +125,29 @@ class GivenDriver(EgoDriver):
             self._wanted = possible_acceleration(acceleration)
             self._steer(possible_steering(steering))
         else:
-            drive = cast("Drive", checked)
-            if not sensor.has_lane(drive.lane):
+            command = cast("LaneCommand", checked)
+            if not sensor.has_lane(command.lane):
                 raise BadAction(
-                    f"expected pafot.Drive with a lane that exists at {sensor.along:.0f} m, received {drive}"
+                    f"expected pafot.LaneCommand with a lane that exists at {sensor.along:.0f} m, received {command}"
                 )
-            self._most, self._jerk = drive.lateral_acceleration, drive.lateral_jerk
+            self._most, self._jerk = command.lateral_acceleration, command.lateral_jerk
             if self._lane < 0:
                 heading = sensor.heading if sensor.is_bent else self._place.heading
                 self._tracker.begin(heading, self._angle, self.ego.speed, self._most)
-            self._lane = drive.lane
-            if drive.acceleration is not None:
-                self._wanted = possible_acceleration(drive.acceleration)
-            elif drive.speed is not None:
-                self._speed = drive.speed
+            self._lane = command.lane
+            if command.acceleration is not None:
+                self._wanted = possible_acceleration(command.acceleration)
+            elif command.speed is not None:
+                self._speed = command.speed
         self.actions.append(checked)
         self.slowest = max(self.slowest, seconds)
 
     def actuate(self) -> None:
-        """Set the controls of a tick from the last decision, and never reverse."""
+        """Set the controls for the coming tick from the last decision, without reversing."""
         ego = self.ego
         if self._lane >= 0:
             across, heading = self._place.y, self._place.heading
-            if self._sensor.is_bent:  # there, the position of the last observation, which must have been made
+            if self._sensor.is_bent:  # the position of the last observation, which must exist
                 across, heading = self._sensor.across, self._sensor.heading
             offset = across - self._lane * self._lane_width
             self._steer(self._tracker.steering(offset, heading, ego.speed, self._most, self._jerk))
@@ -156,20 +155,20 @@ class GivenDriver(EgoDriver):
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
         wanted = self._wanted
         if self._kind is not None:
-            self._steer(self._angle)  # what was asked for, as less of it may be possible at each speed
+            self._steer(self._angle)  # the commanded angle, because the possible angle depends on the speed
             wanted, ego.steering = self._kind.limited(wanted, ego.steering, ego.speed)
         ego.acceleration = without_reversing(wanted, ego.speed, self._dt)
 
     def _steer(self, angle: float) -> None:
         self._angle = angle
-        # on a curved road, it is added to the lane's bend
+        # on a curved road, the steering angle for following the lane is added
         self.ego.steering = angle + self._sensor.bend if self._sensor.is_bent else angle
 
 
 class PlannerDriver(GivenDriver):
-    """A driver that calls an ADS with an observation, and applies the decision that the ADS returns.
+    """A driver that calls an ADS with observations, and executes the actions that the ADS returns.
 
-    Given decisions replace the first calls of the ADS.
+    The items of ``decisions`` replace the first calls of the ADS.
     """
 
     def __init__(
@@ -192,7 +191,7 @@ class PlannerDriver(GivenDriver):
         self._limit = guard.limit
 
     def decide(self, tick: int) -> AdsError | None:
-        """Call the ADS under guard and apply its action, or apply a given decision.
+        """Call the ADS with a time limit and apply its action, or apply a given decision.
 
         Raises:
             BadAction: if a given decision is not a valid action.
@@ -200,7 +199,7 @@ class PlannerDriver(GivenDriver):
         """
         taken = len(self.actions)
         if taken < self._given:
-            if self._sensor.is_bent:  # a decision is applied where the ego was last seen
+            if self._sensor.is_bent:  # a decision is applied at the position of the last observation
                 self._sensor.observation(tick)
             self.take(self._decisions[taken], 0.0)
             return None
@@ -219,7 +218,7 @@ class PlannerDriver(GivenDriver):
                 if seconds > self._limit or started + seconds > self._until:
                     guard.settle()
             if guard.interruption is not None:
-                del self.actions[taken:]  # the action of an interrupted decision
+                del self.actions[taken:]  # without the action of the interrupted decision
                 guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, tick, guard)
@@ -227,22 +226,22 @@ class PlannerDriver(GivenDriver):
 
 
 class Loop:
-    """The loop of one run.
+    """The loop that simulates one run.
 
-    Engines bring their own vehicles, with the attributes of :class:`Body`. A simulator with its own loop calls
+    Engines can have their own vehicles, with the attributes of :class:`Body`. An engine with its own loop calls
     :meth:`command` before it moves the vehicles, and :meth:`moved` afterwards.
     """
 
     def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
         self.tick = 0
-        # replaces the states of all vehicles after each tick by a simulator's; None in most runs
+        # replaces the states of all vehicles after each tick with those from a simulator; None in most runs
         self.simulation: Any = None
         self.ego_touched = False
-        self.npcs_touched = False  # also by a contact with a fixed object
+        self.npcs_touched = False  # also true after a contact with a fixed object
         self._director = director
         self._places = places
         self._lanes = places.lanes
-        self._record = record  # a buffer for `ticks + 1` rows of all vehicles
+        self._record = record  # a buffer for `ticks + 1` rows per vehicle
         self._dt = dt
         self._row = 0
         self._end = len(record)
@@ -251,18 +250,17 @@ class Loop:
         self._npcs: list[Body] = places.vehicles[1:]
         self._ego: Body = places.bodies[0]
         self._obstacles: list[Box] = places.obstacles
-        self._reach = max(
-            [math.hypot(body.length, body.width) for body in self._vehicles]
-        )  # farther apart, none can touch
+        # vehicles that are farther apart cannot touch
+        self._reach = max([math.hypot(body.length, body.width) for body in self._vehicles])
         self._note()
 
     @property
     def is_over(self) -> bool:
-        """True if a contact has ended the run, a vehicle has reached the road's end, or the ego has left it."""
+        """True after a contact, when a vehicle has reached the end of the road, or when the ego has left the road."""
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
-        """Simulate until the run is over, its tick is ``ticks`` or the ADS fails, and return the ADS's error."""
+        """Simulate until the run is over, tick ``ticks`` is reached or the ADS fails, and return the ADS's error."""
         due = 0
         while self.tick < ticks:
             if due == 0:
@@ -299,7 +297,7 @@ class Loop:
     def _note(self) -> None:
         row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
         if row + len(self._vehicles) * columns > self._end:
-            raise IndexError(f"record: expected room for tick {self.tick}, received {self._end} numbers")
+            raise IndexError(f"record: expected room for tick {self.tick}, received a buffer of {self._end} numbers")
         for body in self._vehicles:  # the state after a step, and the controls that led to it
             record[row] = body.x
             record[row + 1] = body.y
@@ -315,10 +313,10 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Find a contact of a vehicle with another one or a fixed object, and return whether there is one."""
+        """Return whether a vehicle touches another one or a fixed object, and record whether the ego is involved."""
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
-        # Contacts of the ego are found before contacts of NPCs, and of two vehicles before those with an object.
+        # Contacts of the ego are checked first, and contacts between vehicles before contacts with objects.
         for first in range(count - 1):
             x = record[start + first * columns]
             for second in range(first + 1, count):

@@ -1,5 +1,5 @@
 # cython: initializedcheck=False, wraparound=False
-"""The observation of a planner in SI units, which is read-only and computed lazily, and the sensors that make it."""
+"""Read-only observations in SI units, which are computed lazily, and the sensors that create them."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 class VehicleState(NamedTuple):
-    """The state of a vehicle, as far as an observer outside the vehicle could measure it.
+    """The state of a vehicle, as far as it can be measured from outside.
 
     Attributes:
-        x, y: position of the centre [m]. x is along the road. y is to the right; it is 0 at the centre of the leftmost
-            lane.
+        x, y: position of the centre [m]. x is along the road. y is to the right, from the centre of the leftmost lane.
         heading: heading [rad], 0 along the road, positive to the right.
         speed: speed [m/s].
         lane: number of the nearest lane, counted from 0 at the left.
@@ -41,7 +40,7 @@ class VehicleState(NamedTuple):
     width: float = 2.0
 
 
-# the fields of an Observation, in the order of its arguments
+# the fields of an Observation, in the order of the constructor's arguments
 Fields = TypedDict("Fields", {  # noqa: UP013  (a class is longer)
     "time": float, "ego": VehicleState, "others": Sequence[VehicleState], "lanes": int, "lane_width": float,
     "speed_limit": float, "decision_period": float, "acceleration": float, "steering": float,
@@ -49,31 +48,30 @@ Fields = TypedDict("Fields", {  # noqa: UP013  (a class is longer)
     "crossing": tuple[CrossingVehicle, ...],
 }, total=False)  # fmt: skip
 
-_NEW = tuple.__new__  # makes a VehicleState in half the time of the class itself
+_NEW = tuple.__new__  # creates a VehicleState in half the time of a call of the class
 
 # decision period, acceleration, steering, ids, road length, crossing vehicles: few planners use them
 _Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehicle, ...]]
 
 
 def lateral_velocity(heading: float, speed: float, steering: float) -> float:
-    """Return the lateral velocity of a vehicle's centre [m/s], from heading [rad], speed [m/s] and steering [rad]."""
+    """Return the lateral velocity of a vehicle's centre [m/s] from angles [rad] and a speed [m/s]."""
     return speed * math.sin(heading + math.atan(0.5 * math.tan(steering)))
 
 
 class Sensor:
-    """A source of an ADS's observations in one run."""
+    """The base class of sensors, which create the ADS's observations."""
 
     def __init__(self) -> None:
-        self.is_bent = False  # true on a curved road, which the ADS sees straightened
-        # The ego in the last observation of a curved road: position along it and nominal position across it [m],
-        # heading relative to a vehicle that follows its lane [rad], and the steering angle for following the lane
-        # [rad].
+        self.is_bent = False  # true on a curved road, which observations show straightened
+        # The ego in the last observation of a curved road: the position along the road and the nominal position across
+        # it [m], the heading relative to a vehicle that follows the lane, and the steering angle of that vehicle [rad].
         self.along = self.across = self.heading = self.bend = 0.0
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at the current tick, or at an earlier one on a straight road.
+        """Return the observation at the current tick. On a straight road, an earlier tick is possible, too.
 
-        On a curved road, it also finds the ego's position for the driver's steering.
+        On a curved road, this also locates the ego, as the driver's steering requires.
         """
         raise NotImplementedError
 
@@ -83,7 +81,7 @@ class Sensor:
 
 
 class Observer(Sensor):
-    """A source of observations on a straight road, which uses the record of a run."""
+    """A sensor for straight roads, which computes observations from the record of the run."""
 
     def __init__(
         self,
@@ -107,7 +105,7 @@ class Observer(Sensor):
         self.columns = COLUMNS
 
     def vehicle(self, tick: int, index: int) -> VehicleState:
-        """Return the state of a vehicle at a tick; index 0 is the ego."""
+        """Return the state of a vehicle at a tick. The ego has index 0."""
         length, width = self.sizes[index]
         row = (tick * len(self.sizes) + index) * self.columns
         x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
@@ -127,7 +125,7 @@ class Observer(Sensor):
         return tuple(values)
 
     def fill(self, tick: int, values: FloatArray, run: int) -> None:
-        """Write all vehicles at a tick into one run of an array of shape [runs, vehicles, 7]."""
+        """Write all vehicles at a tick into an array of shape [runs, vehicles, 7], at index ``run``."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
             x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
@@ -153,7 +151,7 @@ class Observer(Sensor):
 
 
 class Observation:
-    """The observation of a planner at one decision.
+    """The observation that a planner receives for one decision.
 
     Attributes:
         time: time since the start of the run [s].
@@ -165,10 +163,10 @@ class Observation:
         decision_period: time between two decisions [s].
         acceleration, steering: acceleration [m/s^2] and steering angle [rad] of the ego in the last tick; 0 at the
             start.
-        lateral_velocities: lateral speeds of the ego and the others, positive to the right [m/s].
+        lateral_velocities: lateral velocities of the ego and the others, positive to the right [m/s].
         ids: index in ``run.npcs`` of each vehicle in ``others``.
-        lane_centres: centre of each lane, from the left, as its y [m].
-        road_length: end of the lanes, as its x [m]; they start at x = 0.
+        lane_centres: position y of each lane's centre, from the left [m].
+        road_length: position x of the end of the lanes [m]. They start at x = 0.
         crossing: NPCs on paths that cross the ego's path (:class:`pytest_pafot.CrossingVehicle`). ``ids`` and ``array``
             do not contain these NPCs.
     """
@@ -203,7 +201,7 @@ class Observation:
         numbers = tuple(range(len(others))) if ids is None else tuple(ids)
         self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length, crossing)
         self._lateral = lateral_velocities
-        self._observer: Any = None  # not needed, as all fields are set
+        self._observer: Any = None  # not needed, because all fields are set
         self._tick = 0
 
     @property
@@ -251,7 +249,7 @@ class Observation:
     def lateral_velocities(self) -> tuple[float, ...]:
         if self._lateral is None and self._observer is not None:
             self._lateral = self._observer.lateral_velocities(self._tick)
-        elif self._lateral is None:  # the steering is not known
+        elif self._lateral is None:  # the steering angles are not known
             vehicles = [self.ego, *self.others]
             self._lateral = tuple([lateral_velocity(each.heading, each.speed, 0.0) for each in vehicles])
         return self._lateral
@@ -274,7 +272,7 @@ class Observation:
 
     @property
     def array(self) -> FloatArray:
-        """The ego and then the others as float64 of shape [vehicles, 7]; columns as in :class:`VehicleState`."""
+        """The ego and then the others as float64 of shape [vehicles, 7], with the columns of :class:`VehicleState`."""
         values: FloatArray = stacked([self])[0]
         return values
 
@@ -306,13 +304,13 @@ class Observation:
         return hash(self._values())
 
     def replace(self, **changes: Unpack[Fields]) -> Observation:
-        """Return a copy with other values in some fields, such as ``others=()``.
+        """Return a copy with new values for some fields, for example ``others=()``.
 
-        Unless given, lateral velocities are computed from the new vehicles, as if their wheels were straight. Unless
-        given, ids start at 0 if the number of ``others`` changes.
+        If ``ego`` or ``others`` changes, missing lateral velocities are computed as if all wheels were straight. If the
+        number of ``others`` changes, missing ids are counted from 0.
 
         Raises:
-            TypeError: for an unknown field.
+            TypeError: if a field is unknown.
         """
         fields: dict[str, Any] = dict(zip(Fields.__annotations__, self._values(), strict=True))
         if "ego" in changes or "others" in changes:
@@ -330,23 +328,23 @@ class Observation:
 
 
 def stacked(observations: Sequence[Observation]) -> FloatArray:
-    """Stack observations to a float64 array of shape [observations, vehicles, 7].
+    """Stack observations into a float64 array of shape [observations, vehicles, 7].
 
-    Columns are as in :attr:`Observation.array`. Rows for missing vehicles are NaN.
+    The columns are those of :attr:`Observation.array`. Rows for missing vehicles are NaN.
     """
     most = max([seen._count() for seen in observations])
     made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)
-    values = made  # typed as a memoryview in the .pxd, so compiled code writes directly
+    values = made  # a typed memoryview in compiled code, to which writing is fast
     for run, seen in enumerate(observations):
         seen._fill(values, run)
     return made
 
 
 class RoadSensor(Sensor):
-    """A source of observations on a curved road, which uses the record of a run.
+    """A sensor for curved roads, which computes observations from the record of the run.
 
-    In its observations, x is along the ego's path, and y is the nominal position across it (see :class:`NetworkRoad`).
-    Distances are driven distances, and headings are relative to a vehicle that follows the lane.
+    In observations, x is along the ego's path, and y is the nominal position across it (see :class:`NetworkRoad`).
+    Distances are the distances to drive, and headings are relative to a vehicle that follows the lane.
     """
 
     def __init__(
@@ -366,8 +364,8 @@ class RoadSensor(Sensor):
         self._places = places
         self._record = record
         self._bends = bends
-        self._leaning = list(leaning)  # the path with the leans of a vehicle of each length, the ego first
-        self._zones = list(zones)  # of each crossing NPC; None for each other NPC
+        self._leaning = list(leaning)  # the path with the leans of each vehicle, the ego first
+        self._zones = list(zones)  # zone of each crossing NPC; None for the other NPCs
         self._common = common  # number of lanes, width [m], speed limit [m/s] and length of the road [m]
         self._physics_hz = physics_hz
         self._every = every
@@ -409,7 +407,7 @@ class RoadSensor(Sensor):
             if way is not None:
                 way.locate(its_x, its_y, along)
                 along = way.along
-            # NPCs on the ego's path are in `others`, all others in `crossing`
+            # NPCs on the ego's path are in `others`, all other NPCs in `crossing`
             if places.is_on_way(way, its_x, its_y, its_heading, along):
                 others.append(self._state(npc + 1, its_speed, record[at + 5], own, stretch))
                 ids.append(npc)
@@ -449,10 +447,10 @@ class RoadSensor(Sensor):
         )
 
     def _state(self, number: int, speed: float, steering: float, own: float, stretch: float) -> VehicleState:
-        """Return the state of the last located vehicle, on the straightened road."""
+        """Return the state of the vehicle that was located last, on the straightened road."""
         bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
         along, lane = bends.along, bends.lane
-        # mean of the stretches at both ends
+        # the mean of the stretches at both vehicles applies to the distance
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
         self._drift = lateral_velocity(to_lane, speed, steering)  # for the observation's lateral_velocities

@@ -1,4 +1,4 @@
-"""The positions of the vehicles of a run on their roads, updated after each tick."""
+"""The positions of vehicles on the road, which are updated after each tick."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pytest_pafot.world.kernel.lanes import Bends, Lanes, Track, even_rounded
 
 HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 NOWHERE = float("nan")
-TRACK_COLUMNS = 5  # the number of values of a vehicle in a row of Trace.track
+TRACK_COLUMNS = 5  # values per vehicle and tick in Trace.track
 
 
 class Places:
-    """The positions of the vehicles of a run on its road.
+    """The positions of all vehicles of a run.
 
-    On a curved road, vehicles are tracked from tick to tick, because roads may cross or repeat themselves.
+    On a curved road, vehicles are tracked from tick to tick, because a road can cross itself or go in circles.
     """
 
     def __init__(
@@ -41,46 +41,46 @@ class Places:
         self.vehicles: list[Body] = vehicles
         self.obstacles: list[Box] = []
         self.bodies: list[Body] = bodies
-        # outcome if the run has left its road; a run on a straight road continues next to it
+        # outcome if the ego has left the road or a vehicle has reached its end; always None on a straight road
         self.left: Outcome | None = None
         self._lanes: Any = lanes
         self._x = x
         self._y = y
-        self.lanes = lanes if vehicles[0] is bodies[0] else None  # None if bodies have to be placed after each tick
+        self.lanes = lanes if vehicles[0] is bodies[0] else None  # None if `see` must place bodies after each tick
         self._bends: Any = bends
-        self._ways = list(ways)  # own path of each crossing NPC, None for each other vehicle
-        self._end = end  # where the run ends along the ego's path [m]
-        # Called with x, y, the nearest lane and the position along the path for an ego on no lane of its path. Returns
-        # the index of its lane in Trace.lanes, and the outcome if it has left the road.
+        self._ways = list(ways)  # path of each crossing NPC, None for the other vehicles
+        self._end = end  # position along the ego's path at which the run ends [m]
+        # If the ego is on no lane of its path, this function is called with x, y, the nearest lane and the position
+        # along the path. It returns the index of the ego's lane in Trace.lanes, and the outcome if the run ends.
         self._beside: Any = beside
-        self._along = array("d", starts)  # of each vehicle on its path [m]
-        self._row = 0  # of the tick in `track` and `on_way`, in vehicles
+        self._along = array("d", starts)  # position of each vehicle along its path [m]
+        self._row = 0  # number of vehicles that were recorded before this tick: an index in `track` and `on_way`
         npcs = len(vehicles) - 1
         rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
-        # rows of Trace.track and of Trace.on_way; empty if the trace has none
+        # values of Trace.track and Trace.on_way; empty if the trace does not need them
         self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * (npcs + 1) * rows)
         self.on_way = array("d", [NOWHERE]) * (npcs * rows if crosses else 0)
 
     def control(self) -> None:
-        """Copy the controls that the director has set from the bodies to the vehicles."""
+        """Copy the NPCs' controls, which the director has set, from the bodies to the vehicles."""
         for number in range(1, len(self.vehicles)):
             vehicle, body = self.vehicles[number], self.bodies[number]
             vehicle.acceleration = body.acceleration
             vehicle.steering = body.steering
 
     def see(self, record: Any, row: int) -> None:
-        """Find all vehicles, place their bodies on the road, and write their lanes into a row of a record."""
+        """Locate all vehicles, place their bodies on the road, and write their lanes into the record."""
         bends, has_ended, count, first = self._bends, False, len(self.vehicles), row
         for number in range(count):
             vehicle, body = self.vehicles[number], self.bodies[number]
             if bends is None:
                 body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
                 record[row + 6] = self._lanes.locate(body)
-            # a body of a crossing NPC is placed along and across its own path
+            # the body of a crossing NPC is placed along and across the NPC's own path
             elif (way := self._ways[number]) is not None:
                 record[row + 6] = self._on_own_way(vehicle, body, way, number)
             else:
-                # the others are placed in lane widths across the road, relative to the ego's path
+                # all other bodies are placed along the ego's path, at a nominal lateral position
                 bends.locate(vehicle.x, vehicle.y, vehicle.heading, self._along[number])
                 along = bends.along
                 self._along[number] = along
@@ -93,7 +93,7 @@ class Places:
         self._row += count
         if has_ended:
             self.left = Outcome.END_OF_ROAD
-        elif bends is not None and record[first + 6] < 0:  # on no lane of its path: in another lane, or off the road
+        elif bends is not None and record[first + 6] < 0:  # the ego is in a lane of another road, or off the road
             ego = self.vehicles[0]
             bends.locate(ego.x, ego.y, ego.heading, self._along[0])
             record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
@@ -116,7 +116,7 @@ class Places:
         return self._ways[number]
 
     def is_on_way(self, way: Track | None, x: float, y: float, heading: float, along: float) -> bool:
-        """Locate a vehicle on the ego's path, and return whether it is there."""
+        """Locate a vehicle along the ego's path, and return whether it is on that path."""
         bends: Bends = self._bends
         if way is None:
             bends.locate(x, y, heading, along)

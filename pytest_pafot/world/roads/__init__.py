@@ -1,1 +1,1 @@
-"""Roads: straight roads, paths through networks of lanes, and junctions."""
+"""Straight roads, paths through networks of lanes, and junctions."""

@@ -1,7 +1,7 @@
-"""Paths of other traffic through a network, and the zones in which they cross or join the ego's path and each other.
+"""Paths of crossing traffic through a network, and the zones in which they conflict with the ego's path and each other.
 
 A path leads from a section without a predecessor, through consecutive sections, to a section without a successor. Paths
-that start in a section of the ego's path are excluded, because vehicles from there drive on the grid.
+that start in a section of the ego's path are excluded, because vehicles that start there drive on the grid.
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ IntArray = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 Section = tuple[str, str]
 
-# the extra width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its path
+# additional width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its path
 WIDER = 1.0
-# the distance below which boxes touch [m]; without it, rounding would decide when roads cross at right angles
+# distance below which boxes count as touching [m]; otherwise, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
-ONE_LANE, ONE_DIRECTION = 0.5, 0.1  # the largest distance and angle between two paths in the same lane [m, rad]
-# the distance from a path and the angle to it up to which a vehicle obstructs vehicles on it [m, rad]
+ONE_LANE, ONE_DIRECTION = 0.5, 0.1  # largest distance and angle between two paths in the same lane [m, rad]
+# largest distance from a path and angle to it at which a vehicle obstructs vehicles on that path [m, rad]
 BESIDE, ALIGNED = 1.0, 0.3
-APPROACH = 20.0  # the distance of both vehicles before the zone at which the direction of approach is determined [m]
-# Limits for the angle between two directions of approach [rad]. Above the first, vehicles come from opposite
-# directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
+APPROACH = 20.0  # distance of both vehicles before the zone at which the direction of approach is determined [m]
+# Limits for the angle between two directions of approach [rad]. Above the first limit, vehicles come from opposite
+# directions. Below the second, they come side by side. In a roundabout, the angle is three quarters of pi, and a
 # circulating vehicle comes from the left.
 OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
-STRAIGHTER = 0.2  # of two merging paths, the main lane turns less than the other by more than this angle [rad]
-LEAD = 6.0  # the time of an ego at constant speed from its start to its first zone, if its lane is long enough [s]
-MOST_WAYS = 64  # the largest number of paths that are used, the shortest first; city blocks have countless
-COARSE = 4  # the number of points that are first treated as one when two paths are compared, which is faster
-DRAWN = 4  # every so many points, a point of a path is stored for pictures
+STRAIGHTER = 0.2  # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
+LEAD = 6.0  # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
+MOST_WAYS = 64  # largest number of paths that are used, the shortest first; city blocks have very many paths
+COARSE = 4  # number of points in the groups that are compared first when two paths are compared, which saves time
+DRAWN = 4  # step between the points of a path that are stored for pictures
 
 
 class Course(NamedTuple):
-    """The centre [m] and the heading [rad] of a vehicle that follows a path, at each point."""
+    """The centre [m] and heading [rad] of a vehicle at each point of a path."""
 
     x: FloatArray
     y: FloatArray
@@ -80,17 +80,17 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossingWay:
-    """A path of other traffic with its geometry."""
+    """A path of crossing traffic, with its geometry."""
 
     way: Way
     line: Line  # from the entry to the exit
-    column: Column  # its lane at each point
-    middle: float  # where it is nearest to the ego's path, or enters the ego's lane if it merges [m]
-    shaped: Shaped  # makes the lane for the limits and the length of an NPC
+    column: Column  # lane at each point
+    middle: float  # position nearest to the ego's path, or at which the path enters the ego's lane if it merges [m]
+    shaped: Shaped  # creates the lane for the limits and the length of an NPC
     along_ego: list[float]  # position of each point along the ego's path [m]; NaN if far from it or turned away
 
     def for_vehicle(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
-        """Return the path for a type of vehicle."""
+        """Return the path with the zone and speeds for a type of vehicle."""
         if vehicle == CAR:
             return self
         own = limits.of(vehicle)
@@ -119,11 +119,11 @@ class CrossingWay:
 class Junction:
     """The paths of a network on which other traffic crosses or joins the ego's path."""
 
-    crossings: Crossings  # from which a search samples
+    crossings: Crossings  # the paths from which a search samples
     ways: Mapping[str, CrossingWay]
-    # by two names, the sections of both paths in which they conflict; EGOS names the ego's path
+    # for the names of two paths, the sections of both in which they conflict; EGOS is the name of the ego's path
     meetings: Mapping[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]]
-    # by two names, the position along the first path of each point of the second, or NaN [m]
+    # for the names of two paths, the position along the first of each point of the second [m], or NaN
     shared: Mapping[tuple[str, str], array[float]]
 
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
@@ -185,9 +185,9 @@ class JunctionRoad(NetworkRoad):
 
 
 def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
-    """Add the paths that cross or join a road, or return the same road if there are none.
+    """Add crossing and joining paths to a road, or return the same road if there are none.
 
-    The ego may start further back, so that it has time before the first of them.
+    The ego's start may be moved back, so that the ego has time before the first zone.
     """
     junction = _junction_of(env, road, limits, ego)
     if junction is None:
@@ -205,7 +205,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
         for name, each in ways.items():
             zone = replace(each.way.zone, ego=longer(each.way.zone.ego, longer_by))
             ways[name] = replace(each, way=replace(each.way, zone=zone))
-    # the ego starts in the same lane, but early enough for its first zone
+    # the ego starts in the same lane, but far enough before its first zone
     first = min(each.way.zone.ego[0] for each in ways.values())
     lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0]) * STEP
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
@@ -213,7 +213,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
     meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
         pairs = near_pairs(a, b)
-        for mine, theirs, places in (  # where one vehicle may lead another, in either direction
+        for mine, theirs, places in (  # each vehicle may be ahead of the other in a common lane
             (one, other, _places(a, b, pairs, BESIDE, ALIGNED)),
             (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
         ):
@@ -234,7 +234,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
-    """Return the paths that cross or join the ego's path ahead of its start, the shortest one for each name."""
+    """Return the shortest path of each name that crosses or joins the ego's path ahead of the ego's start."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
         name = f"{path[0][0]}>{path[-1][1]}"
@@ -245,7 +245,7 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         pieces, _ = way_of(network, entry, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
         line = line_of(pieces)
         if np.abs(curvature_of(line)).max() > TIGHTEST:
-            continue  # a jump from lane to lane, such as that of the ramp of merge-v0
+            continue  # the path jumps from lane to lane, as at the ramp of merge-v0
         shaped, parts = lone_column(line, pieces, road.ego_speed), _parts(road, pieces, line)
         ((lane,), _) = shaped(limits)
         column = replace(lane, part=parts)
@@ -260,9 +260,9 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
 
 
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
-    """Yield all paths through a network as sections, the shortest first, without visiting a node twice."""
+    """Yield the paths through a network as sections, the shortest first. No path visits a node twice."""
     follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
-    for section, following in follow.items():  # which sections follow each other, by any of their lanes
+    for section, following in follow.items():  # a section follows another one if any of their lanes do
         lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
         for end, lanes in network.graph.get(section[1], {}).items():
             nexts = [Piece((section[1], end, 0), lane, 0.0, float(lane.length)) for lane in lanes]
@@ -289,7 +289,7 @@ def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
         points = np.flatnonzero(line.piece == number)
         if piece.index in others:
             parts[points] = others[piece.index]
-        elif points.size:  # in one lane of the ego's way
+        elif points.size:  # in a lane of the ego's path
             x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
             near, middle, bends = (x * x + y * y).argmin(axis=1), len(points) // 2, road.bends
             place = points[middle]
@@ -309,7 +309,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]
     y = a.y[::COARSE, None] - b.y[::COARSE]
-    # first groups of points, then the points of the groups that are near
+    # groups of points are compared first, and then the points of the groups that are near each other
     i, j = np.nonzero(x * x + y * y < wide * wide)
     step = np.arange(COARSE)
     i = (i[:, None, None] * COARSE + step[:, None]).repeat(COARSE, axis=2).ravel()
@@ -324,7 +324,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 
 
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
-    """Return for each pair of points whether two vehicles there touch, with boxes widened by ``wider`` [m]."""
+    """Return, for each pair of points, whether vehicles there touch if they are widened by ``wider`` [m]."""
     i, j = pairs
     length, width = CAR.length, CAR.width + wider
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
@@ -340,7 +340,7 @@ def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: f
 
 
 class Meeting(NamedTuple):
-    """A conflict of two paths."""
+    """A conflict between two paths."""
 
     stretches: tuple[Stretch, Stretch]
     closest: tuple[int, int]
@@ -348,13 +348,13 @@ class Meeting(NamedTuple):
 
 
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
-    """Yield the conflicts of two paths in the order of the second path."""
+    """Yield the conflicts between two paths in the order of the second path."""
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
     # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])
-        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):  # runs along the first way
+        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):  # parts of the first path
             belongs = run[np.isin(i[run], own)]
             if boxes_touch(a, b, (i[belongs], j[belongs]), 0.0).any():
                 yield _meeting(a, b, i[belongs], j[belongs])
@@ -369,8 +369,8 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
     length = round(CAR.length / STEP)
     if together.any():
-        # If they merge, the conflict ends a vehicle's length after the first point in the same lane. If they part, it
-        # starts a vehicle's length before the last such point.
+        # If the paths merge, the conflict ends a vehicle's length after their first point in the same lane. If they
+        # part, the conflict starts a vehicle's length before their last point in the same lane.
         begins, ends = np.flatnonzero(together)[[0, -1]]
         if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they merge
             nearest = int(begins)
@@ -389,20 +389,22 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
 
 
 def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
-    """Return the position along path ``a`` of each point of path ``b`` [m], or NaN if it is not near."""
+    """Return the position along path ``a`` of each point of path ``b`` [m], or NaN.
+
+    ``beside`` [m] and ``turned`` [rad] are the largest distance and angle.
+    """
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
-    # `beside` [m] and `turned` [rad] limit the distance and the angle
     fits = (aside < beside) & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
-    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest is written last and so remains
+    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest position is written last, so it remains
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
     return places
 
 
 def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
-    """Return the speeds along a path, given the desired speeds, with the lag of the speed control [m/s]."""
+    """Return the speeds along a path that result from desired speeds and the lag of the speed control [m/s]."""
     wanted = speeds.tolist()
     driven = wanted[:1]
     for speed in wanted[1:]:
@@ -428,7 +430,7 @@ def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], 
 
 
 def _origin(turned: float) -> Origin:
-    """Return where a vehicle comes from, given the angle from the ego's direction to its direction [rad]."""
+    """Return the side from which a vehicle comes, given its direction relative to the ego's direction [rad]."""
     if abs(turned) > OPPOSITE:
         return "ahead"
     if abs(turned) < ALONGSIDE:
@@ -439,18 +441,18 @@ def _origin(turned: float) -> Origin:
 def _holder(
     network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
 ) -> Holder:
-    """Return who has priority in a conflict of two paths."""
+    """Return which vehicle has priority in a conflict."""
     own, other = (
         _lane_before(line, lanes, point, {index[:2] for index in others})
         for (line, lanes), (_, others), point in zip((ego, npc), (npc, ego), met.closest, strict=True)
     )
     priorities = {getattr(lane, "priority", 0) for lane in network.lanes_list()}
-    if len(priorities) > 1:  # highway-env's priorities decide if the network has them
+    if len(priorities) > 1:  # if the network has highway-env's priorities, they decide
         mine, theirs = (getattr(network.get_lane(index), "priority", 0) for index in (own, other))
     else:
-        # else a circulating vehicle has priority over an entering one
+        # otherwise, a circulating vehicle has priority over an entering one
         mine, theirs = _circulates(network, own), _circulates(network, other)
-        if mine == theirs and met.merges:  # and in a merging zone, the main lane, which turns less
+        if mine == theirs and met.merges:  # where lanes merge, the main lane has priority, which turns less
             ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
             bends = [abs(line.heading[b] - line.heading[a]) for (line, _), (a, b) in zip((ego, npc), ends, strict=True)]
             mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
@@ -458,7 +460,7 @@ def _holder(
 
 
 def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
-    """Return the lane of a path at a point, or the last lane before it that is not shared with the other path."""
+    """Return the lane of a path at a point, or the last lane before the point that the other path does not share."""
     number = int(line.piece[point])
     while number > 0 and lanes[number][:2] in others:
         number -= 1

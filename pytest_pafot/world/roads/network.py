@@ -1,9 +1,9 @@
-"""Roads of any shape in the grid's coordinates: positions along the ego's path and across its lanes.
+"""Roads of any shape in the coordinates of the grid, which are along the ego's path and across its lanes.
 
-At every half metre of the path, the lanes of the same road section are next to it, as in highway-env's ``side_lanes``.
-Lanes are numbered from the left. The ego's path has the same number from start to end, and other lanes may be shorter.
-Nominal lateral positions are in lane widths: the centre of lane ``k`` is always at ``k`` times the lane width,
-wherever the lane really is.
+At every half metre of the path, the other lanes of the same road section count as next to it, as in highway-env's
+``side_lanes``. Lanes are numbered from the left. The ego's path has the same number from start to end, and other lanes
+may be shorter. The nominal lateral position of the centre of lane ``k`` is always ``k`` times the lane width, wherever
+the lane really is.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 
-SLOWING = 2.0  # deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit
-SPEED_LAG = 1 / 1.5  # lag of the speed control behind a steadily falling target speed: the inverse of its gain [s]
+SLOWING = 2.0  # deceleration of an NPC before a bend or the end of a lane [m/s^2]; at most a third of its limit
+SPEED_LAG = 1 / 1.5  # lag of the speed control behind a steadily falling target speed, the inverse of its gain [s]
 
 
 def allowed_speeds(
@@ -40,8 +40,8 @@ def allowed_speeds(
 ) -> FloatArray:
     """Return the highest speed of an NPC at each point of a lane [m/s].
 
-    The arrays are curvature [1/m], speed limit [m/s] and length along the lane [m]. The lane ends at the length
-    ``stops``, or nowhere if it is None.
+    The arrays contain curvature [1/m], speed limit [m/s] and length along the lane [m]. NPCs must stop at the length
+    ``stops``, unless it is None.
     """
     with np.errstate(divide="ignore"):
         bend = np.sqrt(BEND_SHARE * limits.lateral_acceleration / np.abs(curvature))
@@ -61,7 +61,7 @@ def allowed_speeds(
 def _of_windows(extreme: np.ufunc, values: FloatArray, ends: npt.NDArray[np.intp]) -> FloatArray:
     """Return the smallest or largest value from each point to the end of its window."""
     bounds = np.stack([np.arange(len(values)), ends], axis=-1).ravel()
-    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]  # an end may be after the last
+    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]  # windows may end after the last
     return windows
 
 
@@ -84,38 +84,38 @@ def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One lane along the complete path, with an entry per point of the line."""
+    """A lane along the complete path, with one list entry per point of the line."""
 
     exists: list[bool]
-    across: list[float]  # distance of its centre from the line, to the right [m]
-    direction: list[float]  # of its centre line [rad]
+    across: list[float]  # distance of its centre to the right of the line [m]
+    direction: list[float]  # direction of its centre line [rad]
     # Angle between the direction and a vehicle that follows the lane [rad]. In a bend, a car's heading is turned
     # inwards less than its course.
     lean: list[float]
-    speed: list[float]  # highest speed that bends, speed limits and the lane's end allow to an NPC [m/s]
-    sharpest: list[float]  # largest curvature within a lane change ahead of the point [1/m]
-    part: list[int]  # index in Trace.lanes; -1 where it does not exist
+    speed: list[float]  # highest speed of an NPC with respect to bends, speed limits and the end of the lane [m/s]
+    sharpest: list[float]  # largest curvature within the length of a lane change ahead of the point [1/m]
+    part: list[int]  # index in Trace.lanes; -1 where the lane does not exist
 
 
 Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
-"""A function that makes the lanes for driving and for a trace, given the limits and the length of an NPC [m]."""
+"""A function that creates the lanes for driving and for a trace, given the limits and the length of an NPC [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NetworkRoad(Road):
     """The lanes along the ego's path through a network."""
 
-    lanes: tuple[Lane, ...]  # the path's lanes from the left, then the network's others
+    lanes: tuple[Lane, ...]  # the path's lanes from the left, then the network's other lanes
     columns: tuple[Column, ...]  # the path's lanes from the left, for cars
     shaped: Shaped
-    limits: NpcLimits  # of every NPC; `columns` were made with them
-    sections: frozenset[tuple[str, str]]  # of the path, as pairs of highway-env's nodes
-    route: tuple[LaneIndex, ...]  # lanes of the path in driving order; `line.piece` has indices of it
-    others: tuple[LaneIndex, ...]  # lanes in no section of the path, the last of `lanes`
+    limits: NpcLimits  # limits of every NPC, which `columns` respect
+    sections: frozenset[tuple[str, str]]  # sections of the path, as pairs of highway-env's nodes
+    route: tuple[LaneIndex, ...]  # lanes of the path in driving order; `line.piece` contains indices of this tuple
+    others: tuple[LaneIndex, ...]  # lanes in no section of the path, which are the last of `lanes`
     line: Line
-    lane_width: float  # of the ego's lane at the start [m]
-    speed_limit: float  # of the path's fastest lane, or the ego's initial speed if that is higher [m/s]
-    start: float  # of the ego along the road [m]
+    lane_width: float  # width of the ego's lane at the start [m]
+    speed_limit: float  # limit of the path's fastest lane, or the ego's initial speed if that is higher [m/s]
+    start: float  # start position of the ego along the road [m]
     ego_lane: int
     ego_speed: float
 
@@ -124,7 +124,7 @@ class NetworkRoad(Road):
 
     @cached_property
     def end(self) -> float:
-        """The position of the end of the road along the road [m]."""
+        """The length of the road, which is the position at which it ends [m]."""
         return (len(self.line.x) - 1) * STEP
 
     @property
@@ -144,7 +144,7 @@ class NetworkRoad(Road):
         return {}
 
     def bends_of(self, vehicle: VehicleType) -> Bends:
-        """Return the road with the speeds and the leans for a type of vehicle."""
+        """Return the lanes with the speeds and leans for a type of vehicle."""
         if vehicle == CAR:
             return self.bends
         key = self.limits.of(vehicle), vehicle.length
@@ -165,19 +165,19 @@ class NetworkRoad(Road):
         return Bends(points, (exists, part), (across, direction, lean, speed, sharpest), widths, self.lane_width)
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
-        """Return the cells around an ego whose centres are on lanes, given the distance between rows [m]."""
+        """Return the cells with centres on lanes around an ego, given the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.has_lane(ego_lane + cell.column, along + cell.row * rows))
 
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
     def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
-        """Return the lane of an ego that is on no lane of its path, and the outcome of the run.
+        """Return the lane of an ego that is on no lane of its path, and the outcome if the run ends.
 
         ``lane`` and ``along`` are the nearest lane of the path and the position along it [m].
         """
         on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
-        # next to its lanes, but in a section of its path: the run continues
+        # if the ego is next to its lanes, but in a section of its path, the run continues
         if any(index[:2] in self.sections for index in on):
             return self.columns[lane].part[self.bends.point(along)], None
         if on:
@@ -189,7 +189,7 @@ class NetworkRoad(Road):
 
     @property
     def prescribed(self) -> tuple[int, float]:
-        return self.ego_lane, self.ego_speed  # made by the environment's reset
+        return self.ego_lane, self.ego_speed  # set by the environment's reset
 
     def ego_start(self, headway: float, clearance: float) -> float:
         return self.start
@@ -197,7 +197,7 @@ class NetworkRoad(Road):
     @property
     def said_of_start_lanes(self) -> tuple[str, str]:
         lanes = " or ".join(map(str, self.start_lanes))
-        fix = "lanes are counted from 0 at the left, over all lanes along the ego's path"
+        fix = "lanes are counted from 0 at the left, including lanes that do not exist at the start"
         return f"a lane that exists at the ego's start ({lanes})", fix
 
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
@@ -208,8 +208,8 @@ class NetworkRoad(Road):
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
         bends = self.bends_of(vehicle)
-        # Just after a bend, an NPC's heading still differs from its course. So the NPC turns, and faster at a higher
-        # speed.
+        # Just after a bend, an NPC's heading still differs from its course, so the NPC turns. It turns faster at a
+        # higher speed.
         most = BEND_SHARE * self.limits.of(vehicle).lateral_acceleration * vehicle.length / 2
         fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
         return min(wanted, bends.speed_at(lane, along), fastest)
@@ -258,7 +258,7 @@ class NetworkRoad(Road):
         return RoadSensor(places, record, self.bends, leaning, zones, common, *rates, seen)
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        # highway-env predicts vehicles along their routes. An NPC has none, so it would keep its steering angle.
+        # highway-env predicts vehicles along their routes. NPCs have none, so it would assume constant steering.
         return lambda along: self.position(along, body.lane)
 
     @cached_property
@@ -282,7 +282,8 @@ class NetworkRoad(Road):
         apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
         if not is_turned:
             return "crosses" if apart.min() < self.lane_width / 2 else None
-        # Two halves of a roundabout have the same two nodes as the two directions of a road, but go on where they meet.
+        # The two halves of a roundabout connect the same two nodes, as do the two directions of a road. But where the
+        # two halves meet, they have the same direction.
         here, there = np.unravel_index(int(apart[:-1].argmin()), apart[:-1].shape)
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
@@ -290,22 +291,22 @@ class NetworkRoad(Road):
 
 
 LaneIndex = tuple[str, str, int]
-"""The index of a lane in highway-env: the start and end nodes of its section, and its number there from the left."""
+"""The index of a lane in highway-env: the start and end nodes of its section, and its number from the left."""
 Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
 """The distance between neighbouring points of a line [m]."""
-WIDEST_GAP = 10.0  # largest gap over which a vehicle continues to the next lane [m]; 6 m in highway-env's roundabouts
+WIDEST_GAP = 10.0  # largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
 SHARPEST_BEND = 1.3  # largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
 DECIDED_BEFORE = 2.5  # distance before a lane's end at which highway-env's vehicles choose the next lane [m]
-# angle between neighbouring points above which a joint of two lanes is rounded off [rad]; no vehicle can follow it
+# angle between neighbouring points above which the joint of two lanes is rounded off [rad]; no vehicle can follow it
 ROUGH = 0.06
-BLEND = 3.0  # length scale over which a joint of two lanes is rounded off, on either side [m]
+BLEND = 3.0  # length scale over which the joint of two lanes is rounded off, on either side [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The part of a lane in a path, from ``begin`` to ``end`` in the lane's longitudinal coordinate [m]."""
+    """The part of a lane that belongs to a path, from ``begin`` to ``end`` in the lane's own coordinate [m]."""
 
     index: LaneIndex
     lane: Any
@@ -315,9 +316,9 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A line for measurements along the road, with a point every 0.5 m.
+    """The line along which positions on a road are measured, with a point every 0.5 m.
 
-    The heading has no jumps of 2 pi [rad], and ``piece`` is the index of each point's piece.
+    The heading has no jumps of 2 pi [rad], and ``piece`` contains the index of each point's piece.
     """
 
     x: FloatArray
@@ -329,7 +330,7 @@ class Line:
 def way(
     network: Any, start: LaneIndex, at: float, planned: Sequence[Any] | None, *, ahead: float, behind: float
 ) -> tuple[tuple[Piece, ...], int]:
-    """Return the pieces of the ego's path in driving order, and the number of the piece in which the ego starts.
+    """Return the pieces of the ego's path in driving order, and the index of the piece in which the ego starts.
 
     The ego starts in lane ``start`` at ``at`` [m]. ``planned`` is its ``route`` in highway-env. The path covers the
     distances ``ahead`` and ``behind`` [m] if the network continues that far.
@@ -395,7 +396,7 @@ def is_drivable(last: Piece, piece: Piece) -> bool:
 
 
 def line_of(pieces: Sequence[Piece]) -> Line:
-    """Join the centre lines of the pieces to one line, and round off the joints."""
+    """Join the centre lines of pieces into one line, and round off the joints."""
     points, owners = _spaced(*_sampled(pieces))
     joints = []
     for joint in (np.flatnonzero(np.diff(owners)) + 1).tolist():

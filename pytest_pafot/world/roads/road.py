@@ -1,6 +1,6 @@
-"""The base class of roads in the grid's coordinates, which are along the ego's path and across its lanes.
+"""The base class of roads, and the straight road.
 
-Each kind of road derives from :class:`Road`, in a separate file. Other code never checks the class of a road.
+The coordinates of the grid are along the ego's path and across its lanes. Other code never checks the class of a road.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""How a different road conflicts with the ego's path. A road that only leaves the path does not conflict."""
+"""The kind of conflict of another road with the ego's path. A road that only branches off does not conflict."""
 
 Pose = tuple[float, float, float]
-"""World x [m], y [m] and heading [rad]."""
+"""The world x [m], y [m] and heading [rad] of a vehicle."""
 
 
 class Road(ABC):
-    """A road in the grid's coordinates. By default the ego may start in any lane, and no traffic crosses.
+    """A road in the coordinates of the grid. By default, the ego can start in any lane, and no traffic crosses.
 
     Attributes:
-        lanes: all lanes in the form of a trace; first those along the ego's path, from the left.
-        lane_width: the width of the ego's lane at the start [m].
-        speed_limit: the speed limit of the fastest lane [m/s].
-        is_straight: true if an ego that leaves the road continues next to it, false if the run ends there.
+        lanes: all lanes as in a trace. The lanes along the ego's path come first, from the left.
+        lane_width: width of the ego's lane at the start [m].
+        speed_limit: speed limit of the fastest lane [m/s].
+        is_straight: true if a run continues when the ego leaves the road, false if the run ends.
     """
 
     lanes: tuple[Lane, ...]
@@ -50,17 +50,17 @@ class Road(ABC):
 
     @property
     def length(self) -> float:
-        """The distance that a run must not exceed [m], or infinity if a run may end at the end of the road."""
+        """The length that a run must not exceed [m], or infinity if a run may end at the end of the road."""
         return math.inf
 
     @property
     def prescribed(self) -> tuple[int, float] | None:
-        """The lane and the speed [m/s] at which the ego must start, or None if both can be chosen."""
+        """The required lane and speed [m/s] of the ego at the start, or None if both can be chosen."""
         return None
 
     @property
     def unused(self) -> frozenset[Meeting]:
-        """The kinds of conflicts with roads on which NPCs never drive."""
+        """The kinds of conflicts that cannot occur, because no NPC drives on the other road."""
         return frozenset()
 
     @property
@@ -69,15 +69,15 @@ class Road(ABC):
         return None
 
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
-        """Return the zone of each crossing NPC, and None for the other NPCs; empty if no NPC crosses."""
+        """Return the zone of each crossing NPC and None for each other NPC, or () if no NPC crosses."""
         return ()
 
-    # Places.
+    # Positions.
 
     @property
     @abstractmethod
     def lane_count(self) -> int:
-        """The number of lanes along the ego's path, some of which may be shorter."""
+        """The number of lanes along the ego's path, including shorter lanes."""
 
     @property
     def starts_at_origin(self) -> bool:
@@ -99,7 +99,7 @@ class Road(ABC):
 
     @abstractmethod
     def ego_start(self, headway: float, clearance: float) -> float:
-        """Return the ego's start along the road [m], for NPCs with this headway [s] and clearance [m]."""
+        """Return the ego's start along the road [m] for a headway [s] and clearance [m] of NPCs."""
 
     @property
     @abstractmethod
@@ -109,7 +109,7 @@ class Road(ABC):
     @property
     @abstractmethod
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """The words of an error about the ego's lane: which lane is expected, and which lanes exist."""
+        """The expected value, and a hint, for an error about the ego's lane."""
 
     @abstractmethod
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
@@ -123,16 +123,16 @@ class Road(ABC):
         return True
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
-        """Return the possible start speed of an NPC for a requested speed [m/s]."""
+        """Limit the start speed of an NPC to what the road allows [m/s]."""
         return wanted
 
-    # The parts of a run.
+    # The components of a run.
 
     @abstractmethod
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:
-        """Make the director of the NPCs, which may start in ``cells``."""
+        """Create the director of the NPCs, which may start in ``cells``."""
 
     @abstractmethod
     def places(
@@ -145,10 +145,10 @@ class Road(ABC):
         ticks: int,
         stock_road: Callable[[], Any],
     ) -> Places:
-        """Make the positions of the vehicles of a run on this road.
+        """Create the object that tracks all vehicles on this road during a run.
 
         ``vehicles`` are in world coordinates and ``bodies`` in road coordinates, both with the ego first. ``starts``
-        has their starts along their paths [m]. ``stock_road`` returns the road as a road of highway-env.
+        contains their start positions along their paths [m]. ``stock_road`` returns the matching highway-env road.
         """
 
     @abstractmethod
@@ -161,24 +161,24 @@ class Road(ABC):
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
-        """Make the sensor of a planner.
+        """Create the sensor of a planner.
 
-        ``rates`` are the ticks per second and per decision.
+        ``rates`` are the numbers of ticks per second and per decision.
         """
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        """Return a function from an NPC's position along its path to its pose, or None if it is not predicted."""
+        """Return a function that predicts an NPC's pose from its position along its path, or None."""
         return None
 
 
 def ego_start(headway: float, clearance: float) -> float:
-    """Return the ego's start along a straight road [m], with room behind it for NPCs at any speed."""
+    """Return the ego's start position along a straight road [m], with room behind it for NPCs at any speed."""
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 @dataclass(frozen=True)
 class StraightRoad(Road):
-    """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y)."""
+    """Parallel straight lanes of equal width along the x axis, with lane 0 at the left (smallest y)."""
 
     is_straight = True
 
@@ -192,7 +192,7 @@ class StraightRoad(Road):
     def __post_init__(self) -> None:
         first, count = self.lanes[0], len(self.lanes)
         cells = tuple(frozenset(cell for cell in Cell if 0 <= lane + cell.column < count) for lane in range(count))
-        self.__dict__.update(  # the class is frozen and refuses assignments
+        self.__dict__.update(  # the class is frozen and does not allow assignments
             lane_width=first.width,
             speed_limit=max(lane.speed_limit for lane in self.lanes),
             grid=Lanes(count, first.width, first.length),
@@ -202,7 +202,7 @@ class StraightRoad(Road):
 
     @classmethod
     def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:
-        """Make a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
+        """Create a road with equal lanes that start at x = 0, and with the centre of lane 0 at y = 0."""
         return cls(
             tuple(
                 Lane(x=0.0, y=k * lane_width, heading=0.0, length=length, width=lane_width, speed_limit=speed_limit)
@@ -223,7 +223,7 @@ class StraightRoad(Road):
         return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """Return the position along the road and to the right of lane 0 [m], and the angle to the road [rad]."""
+        """Return the positions along the road and to the right of lane 0 [m], and the angle to the road [rad]."""
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
@@ -232,7 +232,7 @@ class StraightRoad(Road):
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
-        """Return the cells that have a lane, for an ego in a given lane."""
+        """Return the cells that are on a lane if the ego is in ``ego_lane``."""
         return self._cells[ego_lane]
 
     def has_lane(self, lane: int, along: float) -> bool:

@@ -1,4 +1,4 @@
-"""The construction of a :class:`NetworkRoad` from an environment: the ego's path and the lanes next to it."""
+"""The construction of a :class:`NetworkRoad` from an environment, with the ego's path and the lanes next to it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from pytest_pafot.world.roads.network import (
 )
 from pytest_pafot.world.roads.network import way as way_of
 
-SHORTEST_LANE = 10.0  # shorter lanes next to the path are ignored by the grid [m]
-BEYOND_ENDS = 0.5  # distance past a lane's ends up to which the lane is still next to the path [m]
+SHORTEST_LANE = 10.0  # length below which the grid ignores a lane next to the path [m]
+BEYOND_ENDS = 0.5  # distance past a lane's ends within which the lane still counts as next to the path [m]
 SAME_DIRECTION = 0.5  # largest angle between two lanes in the same direction [rad]
 SAME_LANE = 1.0  # largest sideways step between neighbouring points of a continuous lane [m]
 BRIDGED = 10.0  # longest interruption of a lane that is bridged, for example between two sections [m]
@@ -47,7 +47,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 class _Strip:
-    """A lane next to the ego's path that keeps its number. Arrays have an entry per point of the line."""
+    """A lane along the ego's path, with arrays that have one entry per point of the line."""
 
     def __init__(self, points: int) -> None:
         self.exists = np.zeros(points, dtype=bool)
@@ -55,7 +55,7 @@ class _Strip:
 
 
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
-    """Make the road of an environment after its reset.
+    """Create the road of an environment that has been reset.
 
     ``ahead`` is the largest distance that a vehicle may drive [m]. ``name`` is the environment's name in errors.
 
@@ -72,13 +72,13 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     if abs(curvature[worst]) > TIGHTEST:
         raise WorldError(
             field=name,
-            expected=f"bends that a vehicle of {CAR.length:g} m can follow, with a radius of at least "
-            f"{1 / TIGHTEST:g} m",
-            received=f"a radius of {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f} m, "
+            expected=f"bends with a radius of at least {1 / TIGHTEST:g} m, which a vehicle with a length of "
+            f"{CAR.length:g} m can follow",
+            received=f"a bend with a radius of {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f} m, "
             f"y = {line.y[worst]:.0f} m",
         )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
-    # made again for each type of NPC
+    # called again for each type of NPC
     shaped = partial(_columns, line, strips, is_dead_end=is_dead_end(network, pieces[-1]))
     columns, lanes = shaped(limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
@@ -102,15 +102,16 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         raise WorldError(
             field=name,
             expected="a road that continues ahead of the ego's start",
-            received=f"a road that ends {road.end - start:.0f} m ahead",
-            fix="give the ego a route, or a start further back",
+            received=f"a road that ends {road.end - start:.0f} m ahead of it",
+            fix="give the ego a route, or start it further back",
         )
     return road
 
 
 def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     if ego is None or not network.lanes_list():
-        raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without them")
+        received = "an environment without an ego or without lanes"
+        raise WorldError(field=name, expected="an ego on a road with lanes", received=received)
     index = network.get_closest_lane_index(ego.position, ego.heading)
     lane = network.get_lane(index)
     at, offset = (float(value) for value in lane.local_coordinates(ego.position))
@@ -128,8 +129,8 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
-    """Return the position along the line of a point of a piece [m]."""
-    # points of other pieces are excluded by a large distance
+    """Return the position along the line of a point on a piece [m]."""
+    # a large additional distance excludes points of other pieces
     distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
@@ -138,7 +139,7 @@ def _place(line: Line, piece: int, point: FloatArray) -> float:
 
 
 def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
-    """Return the lanes of the path by their number relative to the ego's path, negative to the left."""
+    """Return the lanes along the ego's path by number. The ego's lane is 0, and lanes to its left are negative."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
         for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
@@ -157,7 +158,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
-    """Return, by lane number, the distance across, the lane, and the position in it at a point of the line."""
+    """Return, for each lane number at a point of the line, the distance across, the lane and the position in it."""
     x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
     place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
     origin, end, own = piece.index
@@ -178,13 +179,13 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the ego's lane and the adjoining lanes on either side."""
+    """Yield the ego's lane, and the adjacent lanes on either side."""
     yield own, found[own]
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
             apart = abs(found[rank][0] - found[before][0])
             width = float(found[rank][2].width_at(found[rank][3]) + found[before][2].width_at(found[before][3])) / 2
-            if not 0.6 * width < apart < 1.5 * width:  # neither overlapping nor separated
+            if not 0.6 * width < apart < 1.5 * width:  # the lanes overlap or are separated
                 break
             yield rank, found[rank]
 
@@ -209,7 +210,7 @@ def _smooth(strip: _Strip) -> None:
 
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
-    # a step that was too large to bridge or to round off
+    # cut the lane at steps that were too large to bridge or to round off
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
         is_short = len(part) * STEP < SHORTEST_LANE  # parts that are too short or too sharply curved are dropped
@@ -225,7 +226,7 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return x, y, direction and length at each point of a part of a lane."""
+    """Return x [m], y [m], direction [rad] and length [m] at each point of ``part``, a part of a lane."""
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
@@ -242,7 +243,7 @@ def curvature_of(line: Line) -> FloatArray:
 
 
 def lone_column(line: Line, pieces: Sequence[Piece], ego_speed: float) -> Shaped:
-    """Return a function that makes the only lane along a line of pieces."""
+    """Return a function that creates the only lane of a path."""
     strip = _Strip(len(line.x))
     strip.exists[:] = True
     for number, piece in enumerate(pieces):
@@ -264,7 +265,7 @@ def _columns(
     *,
     is_dead_end: bool = False,
 ) -> tuple[tuple[Column, ...], list[Lane]]:
-    """Return the lanes of the path, and the trace's lanes: the first part of each lane, then the other parts."""
+    """Return the lanes of the path, and the same lanes for a trace: first parts of lanes first, then other parts."""
     firsts: list[Lane] = []
     others: list[Lane] = []
     columns = []
@@ -273,7 +274,7 @@ def _columns(
         strip = strips[number]
         known = np.flatnonzero(strip.exists)
         column = {
-            "across": np.interp(np.arange(len(line.x)), known, strip.across[known]),  # elsewhere the nearest
+            "across": np.interp(np.arange(len(line.x)), known, strip.across[known]),  # also in gaps
             "direction": line.heading.copy(),
             "lean": np.zeros(len(line.x)),
             "speed": np.zeros(len(line.x)),
@@ -286,12 +287,12 @@ def _columns(
             column["lean"][part] = leans(direction, lengths, vehicle_length)
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
-            # NPCs stop where a lane ends before the line, and where the ego's lane is a dead end.
+            # NPCs stop where a lane ends before the line ends, and where the ego's lane is a dead end.
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
             stops = None if goes_on else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
-            # the trace has the first part of each lane first
+            # in the trace, the first parts of all lanes come first
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
             (others if order else firsts).append(lane)
         columns.append(
@@ -329,14 +330,14 @@ def _other_lane(lane: Any, ego_speed: float) -> Lane:
     return _lane(points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit)
 
 
-SECTION = 5.0  # [m]
-ALMOST = 1e-4  # distance of a point of a straight lane from its exact position [m]
+SECTION = 5.0  # length of the sections that `network_of` makes [m]
+ALMOST = 1e-4  # largest distance of a point of a straight lane from its exact position [m]
 MOST_OVERLAP = 0.1  # largest overlap of neighbouring lanes as a proportion of their width
-STRAIGHT = 1e-7  # angle between the ends of a section up to which a lane is a straight line there [rad]
+STRAIGHT = 1e-7  # angle between the ends of a section up to which a lane counts as straight there [rad]
 
 
 def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[float, float, float], float] | None:
-    """Return the start and the length [m] of a straight road of equal lanes, or None for other lanes.
+    """Return the start and the length [m] of a road with equal straight lanes, or None for other lanes.
 
     The start is the x [m], y [m] and heading [rad] of the leftmost lane.
 
@@ -355,13 +356,13 @@ def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[flo
             return None
         begin, end = max(begin, float(along[0])), min(end, float(along[-1]))
         if abs(along[0]) > width or abs(along[-1] - np.hypot(*(first[-1] - first[0]))) > width:
-            return None  # a lane that begins or ends elsewhere
+            return None  # a lane that starts or ends at another position
     x, y = first[0] + begin * np.array([cos, sin])
     return (float(x), float(y), heading), end - begin
 
 
 def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = "") -> Any:
-    """Make a network of highway-env with a lane along each centre line.
+    """Create a highway-env network with a lane along each centre line.
 
     Lines are as for :func:`straight_along`, but may have different lengths. ``name`` is the owner of the lanes in
     errors.
@@ -378,13 +379,13 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, na
         stations = np.vstack([stations, longest[-1:]])
     tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
     tangent /= np.hypot(*tangent.T)[:, None]
-    reach = 2.0 * width * len(lines)  # further away, it is another turn of a spiral, or the other side of a loop
+    reach = 2.0 * width * len(lines)  # farther points belong to another turn of a spiral, or to a loop's other side
     ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
     _check_order(ways, tangent, width, name)
     turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
     network = RoadNetwork()
     common = {"width": width, "speed_limit": speed_limit}
-    # per section and lane, a straight line or a circle through both ends
+    # in each section, each lane is a straight line or a circle through both ends
     for number, (here, there) in enumerate(pairwise(range(len(stations)))):
         for way, turn in zip(ways, turns, strict=True):
             start, end, angle = way[here], way[there], float(turn[there] - turn[here])
@@ -395,7 +396,7 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, na
                 continue
             chord, (dx, dy) = math.dist(start, end), end - start
             radius = chord / (2.0 * math.sin(abs(angle) / 2.0))
-            side = math.copysign(1.0, angle)  # 1 to the right, where y grows
+            side = math.copysign(1.0, angle)  # 1 to the right, where y is positive
             toward = math.atan2(dy, dx) + side * math.pi / 2
             away = radius * math.cos(angle / 2.0)
             centre = (start + end) / 2 + away * np.array([math.cos(toward), math.sin(toward)])
@@ -413,13 +414,13 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
         apart, least, most = float(np.nanmedian(across)), float(np.nanmin(across)), float(np.nanmax(across))
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
             expected = f"a lane {width:g} m to the right of lanes[{number - 1}] along its complete length"
-            received = f"a lane from {least:.1f} to {most:.1f} m to the right"
-            fix = "is each line shifted along an axis instead of across the road?"
+            received = f"a lane that is {least:.1f} to {most:.1f} m to the right"
+            fix = "are the lines shifted along an axis instead of across the road?"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < 0.0:
             expected = "lanes from left to right, as a driver sees them"
             received = f"a lane {-apart:.1f} m to the left of the previous lane"
-            fix = "is y_is_left wrong, or do the points lead backwards? Otherwise write lanes[::-1]"
+            fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, write lanes[::-1]"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
@@ -433,14 +434,14 @@ def _slopes(way: FloatArray) -> FloatArray:
     """Return the tangent vector of a lane at each of its points."""
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    if len(known) > 1:  # at its ends, those of a parabola, so that a bend begins as it goes on
+    if len(known) > 1:  # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
         slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
     slopes[np.isnan(slopes)] = 0.0
     return slopes
 
 
 def _curve(line: FloatArray) -> FloatArray:
-    """Return a point about every metre of a smooth curve through a line (Catmull and Rom 1974)."""
+    """Return points about a metre apart on a smooth curve through a line (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     places = np.concatenate(([0.0], np.cumsum(steps)))
     slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
@@ -459,7 +460,7 @@ def _curve(line: FloatArray) -> FloatArray:
 
 
 def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
-    """Return the point of a curve next to each station, or NaN if it is too far away."""
+    """Return the point of a curve next to each station, or NaN if there is none nearby."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):
         ahead = (curve - station) @ direction

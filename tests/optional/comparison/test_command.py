@@ -14,8 +14,8 @@ import pytest
 
 from pytest_pafot import SimulatorWorld, World
 from pytest_pafot.__main__ import main
-from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.searches.request import SLICES
 from tests.optional.export import test_export_command as export
 
 pytestmark = pytest.mark.processes
@@ -172,7 +172,7 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
         "0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
-    assert "**Warning:** the algorithms have different scenarios, so the scenarios may cause differences" in report
+    assert "**Warning:** the algorithms have different scenarios, which may be the reason for differences" in report
     assert f"- random: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in report
     assert f"- random@paper, pafot: {papers}; 2 genes of 10 s\n" in report
     assert "compare: warning: the algorithms have different scenarios" in told
@@ -231,7 +231,7 @@ def test_unwritable_result_is_reported(tmp_path, capsys, name):
     taken.mkdir(parents=True) if name != "." else taken.touch()
     assert compare(tmp_path / "out", "--algorithms", "random", "--runs", "1", "--seconds", "20") == BAD_USE
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith(f"compare: --out: expected a folder that can be written, received {taken}: ")
+    assert told.startswith(f"compare: --out: expected a writable folder, received {taken}: ")
 
 
 def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monkeypatch):
@@ -253,7 +253,7 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
         'raise ValueError(f"unexpected shape {shape}")\n',
         "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
-        "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
+        "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand. "
         'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...). On the command line, '
         "world= is --world,",
     ):
@@ -327,7 +327,7 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
 
 @pytest.mark.parametrize(("options", "told"), [
     (["--duration", "5"], "--duration: expected no such option with --world"),
-    (["--algorithms", "random@5"], "expected no seconds after the @ in a simulator of your own, but received random@5"),
+    (["--algorithms", "random@5"], "no seconds after the @ with a simulator of your own, but received random@5"),
 ])  # fmt: skip
 def test_what_a_simulator_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
     assert compare_in("road", tmp_path, "constant_speed", *options) == BAD_USE

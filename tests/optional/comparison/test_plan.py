@@ -7,15 +7,15 @@ from itertools import count
 import pytest
 
 from pytest_pafot import Highway
+from pytest_pafot.algorithms import ALGORITHMS
 from pytest_pafot.attribution.responsibility import position_rule
-from pytest_pafot.campaign.explore import _note_of
-from pytest_pafot.campaign.harness import judge
 from pytest_pafot.comparison.figures import STYLES, draw_all
 from pytest_pafot.comparison.plan import COLUMNS, Plan, never_collides, run_rows
 from pytest_pafot.comparison.run_measures import Results
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching import ALGORITHMS
+from pytest_pafot.searches.explore import _note_of
+from pytest_pafot.searches.harness import judge
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
 from tests.helpers.stages import mostly_oracle

@@ -51,11 +51,11 @@ def test_world_that_is_code_is_named(tmp_path, capsys):
     path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
-    assert "a file contains no code: pass the world itself, as in replay(ads, world=...) or --world\n" in (
+    assert "because files contain no code, pass the world itself, as in replay(ads, world=...) or --world\n" in (
         capsys.readouterr().err
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
-    assert "received a simulator of the class OtherRoad; set it with " in capsys.readouterr().err
+    assert "received a simulator of the class OtherRoad; a file contains no code, " in capsys.readouterr().err
     assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
@@ -114,24 +114,22 @@ def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path
     assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", out) == 2
     told, error = capsys.readouterr()
     assert told == ""
-    assert error.startswith(f"export: --out: expected a folder that can be written, received {received.format(out)}")
+    assert error.startswith(f"export: --out: expected a writable folder, received {received.format(out)}")
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("world", "asked"), [([], ""), (["--world", "pytest_pafot:Highway"], ", and --world its world")]
-)
+@pytest.mark.parametrize(("world", "asked"), [([], ""), (["--world", "pytest_pafot:Highway"], " and the world")])
 def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked):
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", *world, "--out", tmp_path) == 0
     told = capsys.readouterr().err
     assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
-    assert told.endswith(f". Did you pass the policy of its test{asked}?\n")
+    assert told.endswith(f". Did you pass the policy{asked} of its test?\n")
 
 
 @pytest.mark.parametrize(("given", "expected"), [
     ([], "the world of the file, received ValueError: no such observation; use the policy of the test\n"),
     (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; use the "
-     "policy of the test, and its world, or omit --world if it is data\n"),
+     "policy of the test, and its world if that is code\n"),
 ])  # fmt: skip
 def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
     path, data = tmp_path / "front-2-1f3a9c.pafot.yaml", wrong().to_dict() if given else pafot.Highway().to_dict()

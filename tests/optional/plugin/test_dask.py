@@ -40,7 +40,7 @@ class Planner:
 """
 
 MANY = """
-@pafot.search(genes=2, gene_seconds=4, shrink_rollouts=0, npcs=2)
+@pafot.search(genes=2, gene_seconds=4, shrink_runs=0, npcs=2)
 def test_many(run):
     assert not run.collision
     assert run.min_distance > 1.9

@@ -175,7 +175,7 @@ def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
 def test_missing_library_error_names_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     file = zipped(tmp_path / "model.zip", {"clip_range": 0.2})
-    with pytest.raises(TypeError, match=r"expected torch for this policy.*pip install 'pytest-pafot\[sb3\]'"):
+    with pytest.raises(TypeError, match=r"expected the package torch.*pip install 'pytest-pafot\[sb3\]'"):
         pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
 
 

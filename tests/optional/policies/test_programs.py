@@ -110,7 +110,7 @@ def test_program_exchanges_observations_and_actions_of_its_environment(tmp_path)
 def test_a_program_may_answer_with_a_lane(tmp_path):
     trace = ROAD.rollout(CUT_IN, program(tmp_path, "answer(lane=2, speed=20.0, lateral_jerk=2)"))
     assert trace.error is None
-    assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0, lateral_jerk=2.0)
+    assert trace.actions[0] == pafot.LaneCommand(lane=2, speed=20.0, lateral_jerk=2.0)
 
 
 def test_persistent_program_is_notified_of_next_scenario(tmp_path, capfd):

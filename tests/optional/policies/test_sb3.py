@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.searching import sample
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.algorithms import sample
+from pytest_pafot.algorithms.space import SearchSpace
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
 sb3_contrib = pytest.importorskip("sb3_contrib", reason='needs pip install "pytest-pafot[sb3]"')

@@ -63,7 +63,7 @@ def test_planner_action_is_held_and_logged_as_given():
 @table("action", [(1, 0), [1.0, 0.0], np.array([1.0, 0.0]), np.float32([1, 0]), (np.float32(1), np.int64(0)), iter])
 def test_any_pair_of_numbers_is_an_action(action):
     trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: iter((1, 0)) if action is iter else action)
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert set(trace.actions) == {(1.0, 0.0)}
 
 
@@ -96,7 +96,7 @@ def test_policy_gets_environment_observation_and_gives_its_action():
 @table("action", [[0.1, 0.0], (0.1, 0.0), np.array([0.1, 0.0]), np.float32([0.1, 0]), [1, 0]])
 def test_continuous_actions_may_be_lists_tuples_and_arrays(action):
     trace = CONTINUOUS.rollout(SCENARIO, always(action))
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert trace.actions[0].tolist() == pytest.approx(list(action))
 
 
@@ -128,7 +128,7 @@ def test_reused_action_array_is_logged_with_true_values():
 def test_a_vehicle_class_drives_itself_at_every_tick(world, idle, ego):
     slow_leader = Scenario(npcs=[[PositionInstruction(2, 15.0)]], gene_seconds=10.0)
     trace = world.rollout(slow_leader, ego)
-    assert trace.outcome in (Outcome.SAFE, Outcome.COLLISION)
+    assert trace.outcome in (Outcome.COMPLETED, Outcome.COLLISION)
     assert trace.actions == ()
     assert trace.ego[1:, 4].any()
 
@@ -204,7 +204,7 @@ def test_planner_environment_stays_in_step_with_run():
         return plan
 
     trace = GYM.rollout(SCENARIO, factory)
-    assert trace.outcome is Outcome.SAFE, trace.error
+    assert trace.outcome is Outcome.COMPLETED, trace.error
     assert shown == [[tuple(row) for row in states.tolist()] for states in trace.states[:60:15, :, :4]]
 
 
@@ -326,7 +326,7 @@ def test_what_the_factory_itself_raises_comes_through(world, idle):
 
     with pytest.raises(CustomFault, match="no weights file"):
         world.rollout(SCENARIO, factory)
-    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.COMPLETED
 
 
 def test_factory_type_error_is_not_a_wrong_signature():

@@ -134,7 +134,7 @@ def test_ads_is_closed_and_gains_no_methods():
     (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
     (lambda: pafot.Perception(42), AdsFactoryError, "pass a function or a class that makes an ADS"),
     (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
-    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
+    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a factory of callables in a Perception"),
     (lambda: pafot.Perception(Watching)("what is seen"), AdsFactoryError,
      "that is used as the factory, received a call with an observation"),
     (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
@@ -149,7 +149,7 @@ def test_hidden_perception_inside_a_factory_is_refused(world):
     def inner():
         return pafot.Perception(Watching, noise={"speed": 1.0})()
 
-    told = r"expected a pafot\.Perception as the factory itself, received a pafot\.Perception "
+    told = r"expected a pafot\.Perception as the factory itself, received .*, which uses a pafot\.Perception"
     for factory in (inner, pafot.Perception(inner, latency=0.2)):
         with pytest.raises(AdsFactoryError, match=told):
             world.rollout(SCENARIO, factory)

@@ -103,7 +103,7 @@ def test_compared_random_runs_cover_all_egos_and_ends():
     cases = [Case.random(seed) for seed in range(150)]
     outcomes = {case.run().outcome for case in cases}
     assert {case.ego for case in cases} == set(ALL_EGOS)
-    assert {Outcome.SAFE, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.ADS_ERROR} <= outcomes
+    assert {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.ADS_ERROR} <= outcomes
     assert {len(case.scenario.npcs) for case in cases} == set(range(1, 9))
     assert {case.scenario.traffic for case in cases} == set(TRAFFICS)
 
@@ -174,7 +174,7 @@ def test_world_says_which_classes_the_compiled_model_drives():
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0")])
 def test_reference_drivers_get_through_as_planners(world, drivers):
     trace = world.rollout_reference(SCENARIO, "careful-human")
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert drivers == [PlannerDriver]
 
 

@@ -13,9 +13,9 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import PositionInstruction, Run, Scenario
-from pytest_pafot.campaign.harness import ads_text
 from pytest_pafot.findings.finding import ads_failure
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.searches.harness import ads_text
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.process import interrupted_by_signals
 from pytest_pafot.world import World, WorldError
@@ -182,14 +182,16 @@ def test_reset_that_does_not_return_ends_the_run_or_the_look_at_the_world(clock)
     assert (trace.outcome, trace.ticks, trace.actions) == (Outcome.HANG, 0, ())
     assert trace.error.message.startswith("Starting.reset did not return")
     Starting.left = 1
-    with pytest.raises(WorldError, match=r"received Starting.reset did not return within 300 s .* increase hang_limit"):
+    with pytest.raises(
+        WorldError, match=r"a failure: Starting.reset did not return within 300 s .* increase hang_limit"
+    ):
         wrapped(Starting).check_fits(SCENARIO)
 
 
 @drivers
 def test_slow_environment_is_not_interrupted(clock, driven):
     trace = driven(wrapped(Healthy))
-    assert (trace.outcome, trace.duration) == (Outcome.SAFE, 10.0)
+    assert (trace.outcome, trace.duration) == (Outcome.COMPLETED, 10.0)
     assert clock.slept > 1000.0
 
 
@@ -200,7 +202,7 @@ def test_episode_of_own_traffic_ends_as_a_hang(clock):
     world = wrapped(Starting)
     world.check_fits(SCENARIO)
     Starting.left = 1
-    with pytest.raises(WorldError, match=r"received Starting.reset did not return"):
+    with pytest.raises(WorldError, match=r"received a failure: Starting.reset did not return"):
         drive_episode(world, idle, 3)
 
 

@@ -135,7 +135,7 @@ def test_a_run_ends_at_the_tick_of_env_step(register, case):
     scenario = scenario_in(world)
     trace = world.rollout(scenario, lambda: lambda seen: action)
     assert trace.ticks == by_env_step("ending-v0", world, action, trace.ego[0])
-    assert (trace.ended, trace.outcome) == (name, Outcome.OFF_ROAD if case == "off the road" else Outcome.SAFE)
+    assert (trace.ended, trace.outcome) == (name, Outcome.OFF_ROAD if case == "off the road" else Outcome.COMPLETED)
     again = world.rollout_in_gym(scenario, lambda: lambda seen: action)
     assert (again.ended, again.outcome) == (trace.ended, trace.outcome)
     assert again.states == pytest.approx(trace.states, abs=1e-9)
@@ -234,7 +234,7 @@ def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_p
         world.rollout(scenario, lambda: IDMVehicle),
         world.rollout(scenario, lambda: Careless),
     ):
-        assert (other.ended, other.ticks, other.outcome) == (name, ticks, Outcome.SAFE)
+        assert (other.ended, other.ticks, other.outcome) == (name, ticks, Outcome.COMPLETED)
     longer = World("ending-v0", wrappers=wrappers, ends="duration").rollout_reference(scenario, "careful-human")
     assert (longer.ended, longer.duration) == ("", 30.0)
 
@@ -322,7 +322,7 @@ def test_wrappers_that_fail_or_do_nothing_or_take_long_do_not_stop_reference_dri
     assert (failed.ended, failed.outcome) == ("Wrong._is_terminated failed: KeyError: 'goal'", Outcome.INVALID)
     slow = World("highway-fast-v0", wrappers=[Thinking], hang_limit=0.2, duration=2.0)
     for driven in (slow.rollout(scenario, idle), slow.rollout_reference(scenario, "careful-human")):
-        assert (driven.ended, driven.outcome, driven.duration) == ("", Outcome.SAFE, 2.0)
+        assert (driven.ended, driven.outcome, driven.duration) == ("", Outcome.COMPLETED, 2.0)
     driven = World("highway-fast-v0", wrappers=[Lazy]).rollout_reference(scenario, "careful-human")
     assert (driven.ended, driven.duration) == ("", 30.0)
 
@@ -364,7 +364,7 @@ def test_the_episode_is_over_for_wrappers_when_the_run_is(register, duration):
     for ads in (idle, lambda: Blind):
         first, second = (world.rollout(stops, ads) for world in (plain, wrapped))
         assert (second.outcome, second.ticks, second.ended) == (first.outcome, first.ticks, "")
-        assert second.outcome is (Outcome.COLLISION if duration > 7.2 else Outcome.SAFE)
+        assert second.outcome is (Outcome.COLLISION if duration > 7.2 else Outcome.COMPLETED)
     assert wrapped.rollout_reference(stops, "careful-human").ended == ""
 
 

@@ -17,10 +17,10 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
+from pytest_pafot.algorithms import sample
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE
-from pytest_pafot.searching import sample
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.codec import from_dict
 from tests.helpers.c_library import c_library

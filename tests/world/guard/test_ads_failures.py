@@ -172,7 +172,7 @@ def test_vehicle_class_raising_in_step_is_ads_error():
         assert trace.error.tick == trace.ticks == 30
 
 
-PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive, received"
+PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand, received"
 
 
 @table("action", [
@@ -260,7 +260,7 @@ def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, cloc
     assert "pytest_pafot" not in trace.error.traceback
     assert trace.ticks == trace.error.tick > 0
     assert len(trace.actions) == 1
-    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.COMPLETED
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="processes have no signals there")
@@ -301,7 +301,7 @@ def test_busy_hang_outside_main_thread_is_interrupted(hang, clock):
     )
     thread.start()
     thread.join(60)
-    assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
+    assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.COMPLETED]
     assert hang is spinning_and_going_on or "spinning" in received[0].error.traceback
 
 
@@ -409,7 +409,7 @@ def test_slow_decisions_are_measured_and_change_nothing_else():
         return lambda observation: time.sleep(0.03 * (next(calls) == 2)) or (0.0, 0.0)
 
     trace = HIGHWAY.rollout(SCENARIO, slow)
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert 0.03 <= trace.max_decision_seconds < 5
     assert trace.states.tobytes() == HIGHWAY.rollout(SCENARIO, always((0.0, 0.0))).states.tobytes()
 

@@ -40,7 +40,7 @@ def raises(error=LookupError):
 @pytest.mark.parametrize(
     ("scenario", "then", "outcome"),
     [
-        (BESIDE, lambda: (0.0, 0.0), Outcome.SAFE),
+        (BESIDE, lambda: (0.0, 0.0), Outcome.COMPLETED),
         (BRAKED, lambda: (0.0, 0.0), Outcome.COLLISION),
         (BESIDE, raises, Outcome.ADS_ERROR),
         (BESIDE, lambda: "left", Outcome.ADS_ERROR),

@@ -10,9 +10,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import PositionInstruction, Scenario
+from pytest_pafot.algorithms import sample
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.searching import sample
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies
 from tests.helpers.interpreted import InterpretedWorld

@@ -162,7 +162,7 @@ def test_npc_answers_ego_in_its_zone_after_second():
     trace = rollout((LEFT, 2.5, 8.0), ego=entering_and_standing())
     zone = trace.zones[0]
     assert zone.ego[0] < trace.track[-1, 0, ALONG] < zone.ego[1]
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     assert zone.npc[0] - 4.0 < trace.on_way[-1, 0] <= zone.npc[0]
     kept = rollout((LEFT, 2.5, 8.0))
     entered = int(np.flatnonzero(trace.track[:, 0, ALONG] > zone.ego[0])[0])
@@ -183,7 +183,7 @@ def test_one_that_can_no_longer_stop_drives_on():
 
 def test_npc_follows_a_slower_ego_behind_a_merge():
     trace = rollout((INTO, 0.6, 9.0), ego=braking_at(7.0, 4.0, 3.0))
-    assert trace.outcome is Outcome.SAFE
+    assert trace.outcome is Outcome.COMPLETED
     on_way = np.isfinite(trace.track[:, 1, ALONG])
     assert on_way[-1]
     assert trace.npcs[-1, 0, SPEED] == pytest.approx(4.0, abs=1.0)
@@ -199,7 +199,7 @@ def test_npc_with_the_higher_number_waits():
     assert clashes(world.crossings, scenario_of(first, second))
     for npcs, waits in (((first, second), 1), ((second, first), 0)):
         trace = world.rollout(scenario_of(*npcs), Steady)
-        assert trace.outcome is Outcome.SAFE
+        assert trace.outcome is Outcome.COMPLETED
         number = [npc[0] for npc in npcs].index("o3>o0")
         slowest = trace.npcs[:, number, SPEED].min()
         assert (slowest < 2.5) == (number == 1), (npcs, slowest)

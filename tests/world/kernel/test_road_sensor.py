@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruction, Scenario, World
+from pytest_pafot import CrossingInstruction, LaneCommand, Perception, PositionInstruction, Scenario, World
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, WorldError, from_dict
@@ -129,7 +129,7 @@ def scenario_of(world):
 
 
 def follows():
-    return lambda seen: Drive(
+    return lambda seen: LaneCommand(
         lane=seen.ego.lane, speed=max(min([8.0, *(each.speed - 1.0 for each in seen.others)]), 0.0)
     )
 

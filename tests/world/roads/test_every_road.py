@@ -15,13 +15,13 @@ from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
+from pytest_pafot.algorithms import sample
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import sample
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.roads.road import StraightRoad
 from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, violations, world_of
@@ -201,7 +201,7 @@ def test_the_end_of_the_road_ends_a_run():
     trace = world.rollout(hold(world, 1, speed=30.0, gene_seconds=30.0), constant)
     assert trace.outcome is Outcome.END_OF_ROAD
     assert trace.track[:, :, ALONG].max() == pytest.approx(460 - 2.5, abs=2.5)
-    assert "when a vehicle reached the end of the road" in Run(trace).explain()
+    assert "after which a vehicle reached the end of the road" in Run(trace).explain()
 
 
 def test_leaving_the_road_ends_a_run():
@@ -225,7 +225,7 @@ def test_leaving_the_route_ends_a_run():
     trace = world.rollout(hold(world, 6, speed=5.0), lambda: TurnsRight)
     assert trace.outcome is Outcome.LEFT_ROUTE
     assert trace.ego[-1, LANE] >= 1
-    assert "when the ego left its route" in Run(trace).explain()
+    assert "after which the ego left its route" in Run(trace).explain()
 
 
 def test_trace_lanes_are_indexed_and_curves_have_points():

@@ -1,0 +1,187 @@
+"""PAFOT: the paper's genetic algorithm with its local fuzzer and restarts.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from numpy.random import Generator
+
+from pytest_pafot.algorithms.evaluation import (
+    AlgorithmEvent,
+    Evaluation,
+    EvaluationCache,
+    GenerationFinished,
+    LocalSearchStarted,
+    NewBest,
+    Restarted,
+)
+from pytest_pafot.algorithms.operators import best_of, breed, elites, improves, mutate, parents
+from pytest_pafot.algorithms.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
+from pytest_pafot.algorithms.space import SearchSpace, sample
+from pytest_pafot.model.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PafotState:
+    """The state of a PAFOT search."""
+
+    generation: int = 0  # of the main search, from 0; it advances after a generation and its local search
+    local_generation: int = 0  # 0 in the main search; in a local search from 1, the generation of the mutants
+    population: tuple[Evaluation, ...] = ()  # population of the main search
+    local_population: tuple[Evaluation, ...] = ()  # population of the current local search
+    best: Evaluation | None = None  # the best since the last restart; None before the first eligible run
+    restarted_at: int = 0  # the generation whose population was random
+    improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
+    kept: tuple[Evaluation, ...] = ()  # evaluated members with which the next population starts
+    fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
+    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
+
+
+@dataclass(frozen=True, slots=True)
+class PafotSearch:
+    """The paper's search, with the paper's numbers as defaults.
+
+    Attributes:
+        space: space of the scenarios.
+        population: number of scenarios in a generation.
+        crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
+        mutation_rate: probability that one instruction of a child is replaced, p_m.
+        elite_share: fraction of the population that is kept unchanged, rounded up.
+        local_generations: generations of a local search after its mutants; 0 turns local searches off.
+        local_mutation_factor: factor of the mutation rate in a local search.
+        local_after: number of generations after a random population without a local search.
+        restart_after: number of generations without a new best before a restart.
+        breeding_attempts: number of times a child is bred again if its run is already known.
+    """
+
+    name: ClassVar[str] = "pafot"
+    is_papers: ClassVar[bool] = True
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)  # the paper gives no number, but its totals imply 4
+    crossover_rate: float = field(default=0.5, kw_only=True)
+    mutation_rate: float = field(default=0.5, kw_only=True)
+    elite_share: float = field(default=0.25, kw_only=True)
+    # With a population of 4, a local search requests 3 mutants and 3 children; the paper's totals imply about 5
+    # scenarios.
+    local_generations: int = field(default=1, kw_only=True)
+    local_mutation_factor: float = field(default=1.5, kw_only=True)
+    local_after: int = field(default=2, kw_only=True)
+    restart_after: int = field(default=5, kw_only=True)
+    # A run is known if the child equals a member of the population, or differs only in genes after the end of the run.
+    # In the paper's simulator, another run could show something new. Here, runs are deterministic.
+    breeding_attempts: int = field(default=20, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least an elite and a child, but received {self.population!r}")
+        rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
+        counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
+        check_parameters(self, rates=rates, factors=factors, **counts)
+        if self.elite_share * self.population > self.population - 1:
+            raise ValueError(
+                f"elite_share: expected a fraction that leaves room for a child in a population of {self.population}, "
+                f"but received {self.elite_share!r}. Use at most {1 - 1 / self.population:.2g}."
+            )
+
+    def start(self, rng: Generator) -> PafotState:
+        # The first population is random and valid (section 3.2).
+        return PafotState(fresh=self._random_population(rng))
+
+    def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
+        check_ask(state.asked)
+        if not state.fresh:
+            state = self._breed(state, rng)
+        return replace(state, asked=state.fresh, fresh=()), state.fresh
+
+    def tell(
+        self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        check_evaluations(state.asked, evaluations)
+        finished = GenerationFinished(
+            generation=state.generation,
+            local_generation=state.local_generation,
+            population=(*state.kept, *evaluations),
+            elites=len(state.kept),
+        )
+        state = replace(state, kept=(), asked=None)
+        if state.local_generation:
+            state, events = self._after_local_generation(state, finished.population)
+        else:
+            state, events = self._after_generation(state, finished.population, rng)
+        return state, (finished, *events)
+
+    def _random_population(self, rng: Generator) -> tuple[Scenario, ...]:
+        return tuple(sample(self.space, rng) for _ in range(self.population))
+
+    def _breed(self, state: PafotState, rng: Generator) -> PafotState:
+        population, crossover_rate, mutation_rate = state.population, self.crossover_rate, self.mutation_rate
+        if state.local_generation:
+            # A local search only mutates (section 3.6: "a mutation-based fuzzing process").
+            population, crossover_rate = state.local_population, 0.0
+            mutation_rate = min(1.0, mutation_rate * self.local_mutation_factor)
+        kept = elites(population, self.elite_share)
+        known = EvaluationCache(population)
+        children: list[Scenario] = []
+        attempts = self.breeding_attempts * self.population
+        while len(children) < self.population - len(kept):
+            # Parents are bred as executed, which includes the changes of the repair inside a run (section 2.1).
+            driven = (parent.executed for parent in parents(population, rng))
+            pair = breed(driven, self.space, crossover_rate, mutation_rate, rng)
+            children += [child for child in pair if attempts <= 0 or known.recall(child) is None]
+            attempts -= 1
+        return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
+
+    def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
+        """Return a mutant of the incumbent, if possible one with an unknown run."""
+        for _ in range(self.breeding_attempts):
+            mutant = mutate(incumbent.executed, self.space, rng)
+            if known.recall(mutant) is None:
+                return mutant
+        return mutate(incumbent.executed, self.space, rng)
+
+    def _after_generation(
+        self, state: PafotState, population: tuple[Evaluation, ...], rng: Generator
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        generation, candidate = state.generation, best_of(population)
+        state = replace(state, population=population)
+        if candidate is not None and improves(candidate, state.best):
+            best = NewBest(generation=generation, local_generation=0, evaluation=candidate)
+            state = replace(state, best=candidate, improved_at=generation)
+            if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
+                return replace(state, generation=generation + 1), (best,)
+            # The local population consists of the incumbent, and of mutants that differ from it by one mutation each.
+            known = EvaluationCache([candidate])
+            mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
+            state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
+            return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))
+        if generation - state.improved_at >= self.restart_after:
+            restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
+            fresh, after = self._random_population(rng), generation + 1
+            return PafotState(generation=after, restarted_at=after, improved_at=after, fresh=fresh), (restarted,)
+        return replace(state, generation=generation + 1), ()
+
+    def _after_local_generation(
+        self, state: PafotState, population: tuple[Evaluation, ...]
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        if state.local_generation <= self.local_generations:
+            return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
+        # The best of the local search replaces the incumbent in the main population, if it is better (section 3.6).
+        incumbent, candidate = state.best, best_of(population)
+        assert incumbent is not None, "a local search starts from a best"  # noqa: S101
+        better = candidate if improves(candidate, incumbent) else None
+        best = better or incumbent
+        after = replace(
+            state,
+            generation=state.generation + 1,
+            local_generation=0,
+            local_population=(),
+            population=tuple(best if member is incumbent else member for member in state.population),
+            best=best,
+        )
+        return after, end_of_local_search(state, incumbent, better)

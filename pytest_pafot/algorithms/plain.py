@@ -1,0 +1,173 @@
+"""Conversion of values to JSON-compatible data and back."""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import types
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import lru_cache
+from itertools import repeat
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from pytest_pafot.findings.finding import IN_MEMORY
+from pytest_pafot.findings.verdict import Signature
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.support.errors import FieldError
+
+T = TypeVar("T")
+
+# The value decides how it is written: a frozen dataclass as the list of its fields, a mapping as the list of its
+# pairs, a set as a sorted list, and a number that JSON cannot express as a string. The reader names the type, and
+# rejects everything else, because the file may be from an untrusted source.
+
+_AS_THEY_ARE = frozenset({type(None), bool, int, str})
+_PLAIN_ALREADY = Mapping[str, Any]
+_NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+
+
+def plain(value: Any) -> Any:
+    """Convert a value to lists, strings, numbers, booleans and None.
+
+    Fields with the type Any or ``metadata=IN_MEMORY`` are omitted.
+
+    Raises:
+        ValueError: for a value of another type.
+    """
+    kind = type(value)
+    if kind in _AS_THEY_ARE:
+        return value
+    if kind is tuple or kind is list:
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if isinstance(value, Enum):
+        return value.value
+    try:
+        if isinstance(value, Scenario):
+            return value.plain()
+        if hasattr(value, "isoformat"):
+            return value.isoformat()
+        if is_dataclass(value) and not isinstance(value, type):
+            # A field of the type Mapping[str, Any] is JSON-compatible already.
+            parts = ((getattr(value, name), hint) for name, hint in _hints(type(value)).items())
+            return [dict(part) if hint == _PLAIN_ALREADY else plain(part) for part, hint in parts]
+        if isinstance(value, Mapping):
+            return [[plain(key), plain(each)] for key, each in value.items()]
+        if isinstance(value, AbstractSet):
+            return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(
+            f"expected a value that JSON can store, or a dataclass of such values, but received {value!r:.100}"
+        ) from None
+
+
+def from_plain(kind: type[T], data: Any) -> T:
+    """Convert data from :func:`plain` back to a value of the type ``kind``.
+
+    Raises:
+        FieldError: for data that does not fit the type, with its position, such as ``[2][0]``.
+        TypeError: for a type that cannot be stored.
+    """
+    return cast("T", _read(kind, data))
+
+
+@lru_cache(maxsize=256)
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the stored fields of a dataclass."""
+    hints = get_type_hints(kind)
+    stored = (each.name for each in fields(kind) if each.init and each.metadata != IN_MEMORY)
+    return {name: hints[name] for name in stored if hints[name] is not Any}
+
+
+def _read(kind: Any, data: Any) -> Any:
+    if kind is float:
+        if type(data) is float or type(data) is int:
+            return float(data)
+        if isinstance(data, str) and data in _NO_NUMBERS:
+            return _NO_NUMBERS[data]
+        raise _refuse("a number", data)
+    if kind is int or kind is str or kind is bool:
+        if type(data) is not kind:
+            raise _refuse({int: "a whole number", str: "a string", bool: "true or false"}[kind], data)
+        return data
+    if kind is Scenario:
+        try:
+            return Scenario.from_canonical(data)
+        except ScenarioError:
+            raise  # it is a ValueError, but its message is better than the one below
+        except (TypeError, ValueError):
+            raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
+    if kind is Hashable:  # a kind of failure, which is stored as its signature
+        kind = Signature
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Union or origin is types.UnionType:
+        if data is None and type(None) in inner:
+            return None
+        *others, last = (each for each in inner if each is not type(None))
+        for each in others:
+            with suppress(FieldError):
+                return _read(each, data)
+        return _read(last, data)  # if this fails as well, its error is reported
+    is_enum = isinstance(kind, type) and issubclass(kind, Enum)
+    if is_enum or origin is Literal:
+        known = [each.value for each in kind] if is_enum else inner
+        if type(data) not in (str, int) or data not in known:
+            raise _refuse(f"one of {', '.join(map(str, known))}", data)
+        return kind(data) if is_enum else data
+
+    if hasattr(kind, "fromisoformat"):
+        try:
+            return kind.fromisoformat(data)
+        except (TypeError, ValueError):
+            raise _refuse("a day, such as 2026-11-20", data) from None
+    if kind == _PLAIN_ALREADY:
+        if type(data) is not dict:
+            raise _refuse("a mapping", data)
+        return data
+
+    # All other types are stored as lists: with a value for each field of a dataclass or each type of a tuple, or with
+    # any number of values.
+    names = _hints(kind) if isinstance(kind, type) and is_dataclass(kind) else None
+    kinds: Sequence[Any] | None = None
+    one: Any = None
+    if names is not None:
+        kinds = list(names.values())
+    elif origin is tuple and inner[-1] is not Ellipsis:
+        kinds = inner
+    elif origin in (tuple, frozenset, set):
+        one = inner[0]
+    elif origin in (Mapping, Counter):
+        one = types.GenericAlias(tuple, (inner[0], inner[1] if origin is Mapping else int))
+    else:
+        raise TypeError(
+            f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.algorithms.plain."
+        )
+    if type(data) is not list or (kinds is not None and len(data) != len(kinds)):
+        raise _refuse("a list" if kinds is None else f"a list of {len(kinds)} values", data)
+    parts: list[Any] = []
+    try:
+        for each, part in zip(repeat(one) if kinds is None else kinds, data, strict=False):
+            parts.append(_read(each, part))
+    except FieldError as error:  # the error names the part that does not fit
+        separator = "." if error.field and not error.field.startswith("[") else ""
+        place = f"[{len(parts)}]{separator}{error.field}"
+        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
+    if names is not None:
+        try:
+            return kind(**dict(zip(names, parts, strict=True)))
+        except (TypeError, ValueError) as error:
+            raise _refuse(f"values that fit together ({error!s:.100})", data) from None
+    return Counter(dict(parts)) if origin is Counter else dict(parts) if origin is Mapping else origin(parts)
+
+
+def _refuse(expected: str, data: Any) -> FieldError:
+    return FieldError(expected=expected, received=f"{data!r:.60}")

@@ -1,0 +1,499 @@
+"""The space from which a search samples scenarios, and the dangerous patterns in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+
+from pytest_pafot.algorithms.crossing_traffic import CrossingTraffic
+from pytest_pafot.model.crossings import Crossings
+from pytest_pafot.model.instructions import (
+    SPEED_STEPS_PER_MPS,
+    Cell,
+    Choices,
+    Instruction,
+    PositionInstruction,
+    are_valid,
+    known,
+    random_lanes,
+    repair_chains,
+)
+from pytest_pafot.model.scenario import (
+    EGO_LANE,
+    EGO_SPEED,
+    GENE_SECONDS,
+    LONGEST_GENE,
+    PAPER_SPEED_LIMIT,
+    Chromosome,
+    Scenario,
+    positions_of,
+)
+from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleType, named_vehicles, without_last_cars
+from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
+from pytest_pafot.support.text import plural
+
+# A limit of a target speed: a factor of the ego's initial speed, and an offset [m/s]. The result is at most the speed
+# limit.
+Bound = tuple[float, float]
+
+LIMIT = (0.0, math.inf)  # the speed limit
+
+
+class Step(NamedTuple):
+    """One gene of a pattern: a target cell, and the lowest and highest target speed."""
+
+    cell: Cell
+    low: Bound
+    high: Bound
+
+
+class Pattern(NamedTuple):
+    """The steps of an NPC around the ego, with a name and the source that lists them as dangerous."""
+
+    name: str
+    steps: tuple[Step, ...]
+    source: str
+
+
+# No scenario starts in a dangerous state: NPCs start as in any scenario, and drive into a pattern. Patterns are defined
+# for the ego's left side, front or rear. All have the same probability.
+# Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
+# 2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
+PATTERNS = (
+    Pattern(
+        "cut-in and brake",
+        (Step(Cell.FRONT_LEFT, (1, -2), (1, 3)), Step(Cell.FRONT, (0, 0), (0.6, 0))),
+        "UN R157, annex 4, appendix 3: cut-in; NHTSA: vehicle changing lanes, same direction",
+    ),
+    Pattern(
+        "leader that brakes or stands",
+        (Step(Cell.FRONT, (0, 0), (0, 5)),),
+        "UN R157, annex 4, appendix 3: deceleration; NHTSA: lead vehicle decelerating, lead vehicle stopped",
+    ),
+    Pattern(
+        "slow leader",
+        (Step(Cell.FRONT, (0.3, 0), (0.8, 0)),),
+        "NHTSA: lead vehicle moving at lower constant speed; UN R157, annex 5: following a lead vehicle",
+    ),
+    Pattern(
+        "vehicle beside",
+        (Step(Cell.LEFT, (1, -2), (1, 2)),),
+        "NHTSA: vehicle changing lanes, same direction (the ego changes)",
+    ),
+    Pattern(
+        "fast one from behind in the next lane",
+        (Step(Cell.REAR_LEFT, (1, 0), LIMIT), Step(Cell.REAR_LEFT, (1, 0), LIMIT)),
+        "NHTSA: vehicle changing lanes, same direction (the ego changes)",
+    ),
+    Pattern(
+        "cut-out",
+        (Step(Cell.FRONT, (1, -4), (1, 0)), Step(Cell.FRONT_LEFT, (0, 0), LIMIT)),
+        "UN R157, annex 4, appendix 3: cut-out",
+    ),
+    Pattern(
+        "slow one ahead in the next lane",
+        (Step(Cell.FRONT_LEFT, (0, 0), (0.5, 0)),),
+        "NHTSA: following vehicle making a maneuver (the ego follows)",
+    ),
+    Pattern(
+        "tailgater",
+        (Step(Cell.REAR, (1, 0), LIMIT),),
+        "NHTSA: lead vehicle decelerating (the ego leads)",
+    ),
+)
+# The steps of each pattern with left and right exchanged, by its name. Half of the samples have these.
+MIRRORED = {
+    pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
+    for pattern in PATTERNS
+}
+
+WALKING = ((1.0, -2.0), (1.0, 3.0))  # the lowest and highest target speed on the way from one pattern to the next
+
+
+def chain_of_patterns(
+    genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
+) -> list[PositionInstruction]:
+    """Return a chain of random patterns, joined by steps on the ring."""
+    chain: list[PositionInstruction] = []
+    while len(chain) < genes:
+        chain = followed_by_pattern(chain, ego_speed, bounds, rng)
+    return chain[:genes]
+
+
+def followed_by_pattern(
+    chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
+) -> list[PositionInstruction]:
+    """Append a random pattern to a chain, after steps on the ring to the pattern's first cell.
+
+    ``ego_speed`` is in m/s, and ``bounds`` limits the speeds in steps of 0.1 m/s.
+    """
+    pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
+    steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
+    way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
+    return [*chain, *(_sample_gene(step, ego_speed, bounds, rng) for step in (*way, *steps))]
+
+
+def _sample_gene(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator) -> PositionInstruction:
+    least, most = bounds
+    low, high = (
+        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
+    )
+    speed = int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS
+    gene: PositionInstruction = known(PositionInstruction, step.cell, speed)
+    return gene
+
+
+def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
+    """Return the cells between two cells on the shorter side of the ring."""
+    clockwise = (last - first) % 8
+    is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
+    steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)
+    return [Cell((first - 1 + step) % 8 + 1) for step in steps]
+
+
+# Smallest number of genes of an NPC on a curved road, even in short runs: to approach, to cut in, and to brake.
+LEAST_GENES = 3
+CROSSING = 0.75  # fraction of the NPCs whose path crosses or joins the ego's path, if the world has such paths
+CARS = (CAR,)  # the vehicles of a search in which all NPCs are cars
+OTHERS = 1 / 6  # fraction of the NPCs that are not cars, if NPCs can be other vehicles
+MOST_ON_GRID = 2  # largest number of other NPCs next to crossing ones: one ahead of the ego and one behind it
+
+# The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or one of the two.
+Instructions = Literal["cells", "lanes", "both"]
+# The probability that an NPC that does not cross has Lane-Instructions.
+LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchSpace:
+    """The common properties of all scenarios of a search. The defaults are the paper's setup (section 4.1).
+
+    Attributes:
+        npcs: number of NPCs in a scenario, from 1 to 8.
+        genes: number of instructions of each NPC that does not cross.
+        gene_seconds: duration of one gene [s].
+        speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
+        ego_lane: the ego's initial lane, counted from 0 at the left.
+        ego_speed: initial speed of the ego and of all NPCs that do not cross [m/s].
+        ego_lanes: lanes from which the ego's initial lane is sampled.
+        ego_speeds: lowest and highest initial speed to sample [m/s].
+        patterns: whether half of the scenarios and a third of the mutations have dangerous patterns.
+        traffic: how the NPCs drive.
+        most_npcs: largest number of NPCs for each of the ``ego_lanes``, if the number is sampled.
+        least_npcs: smallest number of NPCs, if the number is sampled.
+        gene_durations: durations from which a gene's duration is sampled [s].
+        crossings: paths that cross the ego's path. Three quarters of all NPCs use them.
+        most_on_grid: largest number of NPCs that do not cross, if others do.
+        instructions: ``"cells"``, ``"lanes"``, or ``"both"`` with equal probability.
+        vehicles: vehicles that NPCs can be. If cars are among them, one NPC in six is no car.
+        tick: the duration of a tick [s]. Durations of genes are rounded to whole ticks; 0 leaves them as they are.
+    """
+
+    npcs: int = 2
+    genes: int = 6
+    gene_seconds: float = GENE_SECONDS
+    speed_limit: float = PAPER_SPEED_LIMIT
+    ego_lane: int = EGO_LANE
+    ego_speed: float = EGO_SPEED
+    # If the start is sampled, the shrinker prefers `ego_lane` and `ego_speed`.
+    ego_lanes: tuple[int, ...] = ()
+    ego_speeds: tuple[float, float] | None = None
+    patterns: bool = False
+    traffic: Style = PAPERS
+    most_npcs: tuple[int, ...] = ()
+    least_npcs: int = 1
+    gene_durations: tuple[float, ...] = ()
+    crossings: Crossings | None = None
+    most_on_grid: int = MOST_ON_GRID
+    instructions: Instructions = "cells"
+    vehicles: tuple[VehicleType, ...] = CARS
+    tick: float = 0.0
+
+    def __post_init__(self) -> None:
+        npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8)
+        object.__setattr__(self, "npcs", npcs)
+        genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
+        object.__setattr__(self, "genes", genes)
+        expected = f"a number of seconds greater than 0 and at most {LONGEST_GENE:g}"
+        checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
+        checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
+        if self.tick:
+            object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
+            object.__setattr__(self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations)))
+        if not isinstance(self.traffic, str) or self.traffic not in STYLES:
+            raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}")
+        if self.vehicles != CARS:  # a fast comparison, since each sampled start makes a space
+            object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
+        if self.instructions not in LANE_SHARES:
+            expected = f"one of {', '.join(LANE_SHARES)}"
+            raise ValueError(f"instructions: expected {expected}, but received {self.instructions!r:.100}")
+        if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
+            raise ValueError(
+                f"ego_speeds: expected the lowest and the highest speed in m/s, but received {self.ego_speeds!r}"
+            )
+
+    def _in_ticks(self, seconds: float) -> float:
+        return round(max(round(seconds / self.tick), 1) * self.tick, 13)  # such as 2.01 instead of 2.0099999999999998
+
+    def sliced(self, slices: int) -> SearchSpace:
+        """Return the space with ``slices`` genes per NPC and the same total duration."""
+        return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The fields as JSON-compatible data, without ``crossings``."""
+        data = asdict(replace(self, crossings=None))
+        data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
+        usual = {
+            "crossings": None,
+            "most_on_grid": MOST_ON_GRID,
+            "instructions": "cells",
+            "least_npcs": 1,
+            "vehicles": [CAR.plain()],
+            "tick": 0.0,
+        }
+        return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
+
+    @property
+    def other_vehicles(self) -> tuple[VehicleType, ...]:
+        if self.vehicles == CARS:
+            return ()
+        return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
+
+    def sample_vehicle(self, rng: Generator) -> VehicleType:
+        """Sample the vehicle of an NPC."""
+        others = self.other_vehicles
+        # No random number is used if all NPCs are cars.
+        if not others or (CAR in self.vehicles and rng.random() >= OTHERS):
+            return CAR
+        return others[int(rng.integers(len(others)))]
+
+    def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
+        """Return a scenario in which no vehicle is too long for the bends of its path."""
+        if not scenario.vehicles or self.crossings is None:
+            return scenario
+        vehicles = tuple(
+            vehicle if each is None or vehicle.can_follow(self.crossings.ways[each.zone].sharpest) else CAR
+            for vehicle, each in zip(scenario.vehicles, scenario.crossings, strict=False)
+        )
+        return scenario if not scenario.crossings else replace(scenario, vehicles=vehicles)
+
+    @property
+    def top_step(self) -> int:
+        """The highest target speed in steps of 0.1 m/s."""
+        return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+
+    @property
+    def low_step(self) -> int:
+        """The lowest target speed in steps of 0.1 m/s."""
+        return min(round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
+
+    @property
+    def choices(self) -> Choices:
+        return Choices(self.low_step, self.top_step)
+
+    @property
+    def described(self) -> str:
+        """A description, such as ``4 NPCs in hostile traffic``."""
+        speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
+        speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
+        lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
+        npcs = plural(self.npcs, "NPC")
+        if self.most_npcs:
+            npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
+        traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
+        count = len(self.zones)
+        ways = f", most of them on paths that cross the ego's path in {plural(count, 'zone')}" if count else ""
+        kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
+        names = [vehicle.name for vehicle in self.other_vehicles]
+        others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+        others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
+        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """The names of the zones in which NPCs cross, in the order of the ego's path."""
+        return () if self.crossings is None else tuple(zone.way for zone in self.crossings.zones)
+
+    @property
+    def crossing_traffic(self) -> CrossingTraffic | None:
+        """The distribution of the instructions of crossing NPCs, or None if no NPC crosses."""
+        if self.crossings is None:
+            return None
+        low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
+        return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
+
+    def with_sampled_start(self, rng: Generator) -> SearchSpace:
+        """Sample the start and the size of scenarios, and return the space with these."""
+        if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
+            return self
+        lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
+        speed = self.sample_speed(rng)
+        most = self.most_on(lane)
+        npcs = int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
+        durations = self.gene_durations
+        seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
+        return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
+
+    def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
+        """Return the space of scenarios with this start [m/s], and this number and duration of genes [s]."""
+        plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
+        return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
+
+    def most_on(self, lane: int) -> int:
+        """Return the largest number of NPCs for an initial lane of the ego."""
+        lanes = self.ego_lanes or (self.ego_lane,)
+        return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
+
+    def genes_of(self, seconds: float) -> int:
+        """Return how many genes of this duration [s] fill the total duration."""
+        if seconds == self.gene_seconds:
+            return self.genes
+        return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
+
+    @property
+    def has_speeds(self) -> bool:
+        return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
+
+    def sample_speed(self, rng: Generator) -> float:
+        """Sample the initial speed of all vehicles [m/s]."""
+        if self.ego_speeds is None:
+            return self.ego_speed
+        low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
+        return int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1)) / SPEED_STEPS_PER_MPS
+
+
+def space_on(
+    speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, float] | None = None
+) -> SearchSpace:
+    """Return the space of scenarios in a world with a speed limit [m/s] and a longest run [s].
+
+    On a curved road the environment gives the ``start``: the ego's lane and speed [m/s], and the ticks per second.
+
+    Raises:
+        TypeError, ValueError: if a field in ``given`` is unknown or out of range.
+    """
+    wanted = dict(given)
+    if start is not None:
+        # All genes together last as long as the longest run. There are at least three, of about ten seconds or less.
+        lane, speed, physics_hz = start
+        wanted = {"ego_lane": lane, "ego_speed": speed, **given}
+        if "genes" not in wanted:
+            least = 1 if "gene_seconds" in wanted else LEAST_GENES
+            about = wanted.get("gene_seconds", SearchSpace().gene_seconds)
+            wanted["genes"] = max(least, math.ceil(longest_run / about - 1e-9))
+        if "gene_seconds" not in wanted:
+            ticks = math.floor(longest_run * physics_hz / wanted["genes"] + 1e-9)
+            wanted["gene_seconds"] = max(ticks, 1) / physics_hz
+    space = SearchSpace(**wanted, speed_limit=speed_limit)
+    if "genes" in wanted:
+        return space
+    return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
+
+
+def sample(space: SearchSpace, rng: Generator) -> Scenario:
+    """Sample a valid scenario."""
+    # Vehicles are sampled last, so that the random numbers before them are the same in a space with only cars.
+    scenario = _sample_cars(space, rng)
+    if not space.other_vehicles:
+        return scenario
+    vehicles = tuple(space.sample_vehicle(rng) for _ in scenario.npcs)
+    return space.with_fitting_vehicles(replace(scenario, vehicles=vehicles))
+
+
+def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
+    # The start, the number of NPCs and the duration of genes are sampled first, then the kinds of instructions.
+    space = space.with_sampled_start(rng)
+    crossing = space.crossing_traffic
+    if crossing is not None:
+        return _sample_crossing(space, crossing, rng)
+    share = LANE_SHARES[space.instructions]
+    in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
+    chains: list[Sequence[Instruction]] = [
+        *_on_grid(space, space.npcs - in_lanes, rng),
+        *random_lanes(space.choices, in_lanes, space.genes, rng),
+    ]
+    return repaired(chains, fresh_seed(rng), space)
+
+
+def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:
+    if npcs and space.patterns and rng.integers(2):
+        # Half of the scenarios have patterns instead of walks.
+        bounds = space.low_step, space.top_step
+        return [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(npcs)]
+    first = rng.permutation(8)[:npcs, None]
+    # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
+    steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
+    walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
+    return chains_of(walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist())
+
+
+def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
+    count = max(int(rng.binomial(space.npcs, CROSSING)), space.npcs - space.most_on_grid)
+    on_cells: tuple[Chromosome, ...] = ()
+    if count < space.npcs:
+        on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
+    chains = (*on_cells, *((crossing.sample(rng),) for _ in range(count)))
+    return repaired(crossing.without_conflicts(chains, rng), fresh_seed(rng), space)
+
+
+def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
+    """Return a chain for each NPC from cells, and from speeds in steps of 0.1 m/s."""
+    return [
+        [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        for chain in zip(cells, speeds, strict=True)
+    ]
+
+
+def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
+    """Sample a scenario in which all NPCs have Lane-Instructions."""
+    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)  # no repair, so no seed
+
+
+def repaired(
+    chains: Sequence[Sequence[Instruction]],
+    seed: int,
+    start: Scenario | SearchSpace,
+    vehicles: tuple[VehicleType, ...] | None = None,
+) -> Scenario:
+    """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
+
+    ``start`` gives everything but the chains, the seed and, if they are given, the vehicles.
+    """
+    if vehicles is None:
+        vehicles = start.vehicles if isinstance(start, Scenario) else ()
+    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair, and a
+    # search repairs every child.
+    positions = positions_of(chains)
+    cells = [[gene.cell for gene in chain] for chain in positions]
+    npcs = tuple(map(tuple, chains))
+    if not are_valid(cells):
+        fitting = iter(
+            [
+                # A gene that keeps its cell is reused, which is faster than making and checking a new one.
+                tuple(g if g.cell == cell else g.aimed(cell) for g, cell in zip(*each, strict=True))
+                for each in zip(positions, repair_chains(cells, seed), strict=True)
+            ]
+        )
+        npcs = tuple(next(fitting) if chain[0].on_grid else chain for chain in npcs)
+    make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is a user's input, so check it
+    return make(
+        npcs=npcs,
+        seed=seed,
+        ego_lane=start.ego_lane,
+        ego_speed=start.ego_speed,
+        gene_seconds=start.gene_seconds,
+        traffic=start.traffic,
+        vehicles=without_last_cars(vehicles),
+    )
+
+
+def fresh_seed(rng: Generator) -> int:
+    """Sample a seed for the repair of one scenario."""
+    return int(rng.integers(2**31))  # short enough to read in a file

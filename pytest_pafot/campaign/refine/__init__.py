@@ -1,1 +1,0 @@
-"""What happens to a finding after the search."""

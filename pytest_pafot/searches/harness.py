@@ -1,0 +1,476 @@
+"""The world, ADS, test function and folders of a search."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.attribution.sentences import AT_FAULT
+from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import Cluster, ExecutionError, Here, Job, runner_for
+from pytest_pafot.findings.finding import ads_failure, raised_failure
+from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, severity_of
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
+from pytest_pafot.oracle.run import Recording, Rejected, Run, recorded
+from pytest_pafot.searches.request import AgainstError, Request
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.process import REPLACED
+from pytest_pafot.support.references import factory_named, name_of, source_files
+from pytest_pafot.world import AdsFactoryError, WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.driving.policy import Perception, Policy, hint_at_object, sight_of
+from pytest_pafot.world.guard.hang_guard import UNFIT, exits, is_interruption, let_through
+from pytest_pafot.world.kernel.action import LaneCommand, possible_acceleration, possible_steering
+from pytest_pafot.world.limits import TOP_SPEED
+
+# The user's test function, to which all arguments except the run are already bound. It asserts, and returns None.
+Test = Callable[[Run], Any]
+
+
+class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
+    """A failure without a traceback, which would only show code of this package."""
+
+
+def source_file(function: Callable[..., Any], default: str = "") -> str:
+    """Return the source file of a function, ignoring decorators."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return default if code is None else str(code.co_filename)
+
+
+def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> Verdict:
+    """Evaluate a run with the test function, unless the ADS failed or NPCs touched.
+
+    Raises:
+        BaseException: any exception that says nothing about the run, such as an interrupt or a timeout of the
+            item.
+    """
+    if run.outcome is Outcome.INVALID:
+        return Verdict(kind="invalid")
+    # The failing line in this file identifies a failure.
+    test_file = source_file(test) if test_file is None else test_file
+    if (broken := ads_failure(run)) is not None:
+        is_timed = run.outcome is Outcome.HANG
+        exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
+        return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
+    # The function is not called for collisions for which only an NPC is responsible.
+    if blame != "any" and run.responsibility == "npc":
+        return Verdict(kind="npc")
+    return _verdict_of_test(run, test, test_file)
+
+
+def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
+    recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs))
+    try:
+        with recorded(recording):
+            result = test(run)
+    except Rejected:
+        return Verdict(kind="rejected")
+    except xfails() as error:
+        raise RequestError(
+            f"the test function called pytest.xfail({str(error)!r}), which would hide a failure. To accept a failure, "
+            "add a line `xfail:` to the file of its saved scenario. To discard a run, call pafot.reject()."
+        ) from None
+    except skips() as skipped:
+        return Verdict(kind="skipped", exception=skipped)
+    except RequestError:
+        raise
+    except UNFIT as error:
+        if is_interruption(error):
+            raise
+        failure = raised_failure(error, test_file)
+        return Verdict(
+            kind="failed",
+            exception=error,
+            failure=failure,
+            checks=tuple(recording.checks),
+            severity=severity_of(run, failure),
+        )
+    if result is not None:
+        raise RequestError(
+            f"the test function returned {result!r:.60}, but it must assert and return None. Write `assert ...` "
+            "instead of `return ...`."
+        )
+    return Verdict(kind="passed", checks=tuple(recording.checks))
+
+
+def ads_text(failure: Failure, timing: str = "") -> str:
+    """Return a message on a failure of the ADS or the environment, with its traceback."""
+    who = "environment" if failure.kind == WORLD_HANG else "ADS"
+    text = f"the {who} failed: {failure.kind}: {failure.message}{timing}"
+    return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
+
+
+def headline(run: Run, verdict: Verdict) -> str:
+    """Return one line on the event of a finding, with the test function's message if it adds anything."""
+    if verdict.is_ads and verdict.failure is not None:
+        return f"{verdict.failure.kind}: {verdict.failure.message}"
+    if verdict.failure is not None and verdict.failure.check is not None:
+        return str(verdict.failure.check)
+    line = collision_in_short(run) or run.explain().splitlines()[0]
+    first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
+    is_bare = run.collision is not None and first.startswith("assert ")
+    if is_bare or not first or re.split(r":|, | at ", line)[0] in first:
+        return line
+    kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
+    return f"{kind}{first[:120]} ({line})"
+
+
+def collision_in_short(run: Run) -> str:
+    """Return one line on who hit whom and who is at fault, or an empty string."""
+    return run.impact and f"{run.impact}; {AT_FAULT[run.attribution.responsibility]}"
+
+
+def skips() -> tuple[type[BaseException], ...]:
+    """Return the exception classes that pytest reports as a skip or an xfail."""
+    # The package does not import pytest here. Code that raises one of these exceptions has already imported its module.
+    pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
+    of_pytest = () if pytest is None else (pytest.skip.Exception, *xfails())
+    return of_pytest if unittest is None else (*of_pytest, unittest.SkipTest)
+
+
+def xfails() -> tuple[type[BaseException], ...]:
+    """Return the exception class of ``pytest.xfail()``, or an empty tuple without pytest."""
+    return (sys.modules["pytest"].xfail.Exception,) if "pytest" in sys.modules else ()
+
+
+def assertions() -> tuple[type[BaseException], ...]:
+    """Return the exception classes of violated properties."""
+    pytest = sys.modules.get("pytest")
+    return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
+
+
+def no_skip(who: str, error: BaseException) -> str:
+    """Return the error message for a skip where none is allowed."""
+    return (
+        f"{who} raised {type(error).__name__}({str(error)!r}). A skip is not allowed there, because it would hide that "
+        "nothing was tested. Call pytest.skip() in the fixture or in the test function, or mark the test with "
+        "@pytest.mark.skipif."
+    )
+
+
+Cause = tuple[str, str]  # the class of an exception, and where it was raised
+
+# A steering angle above which the units of an action are doubtful [rad]: no car reaches it.
+NO_STEERING = math.pi / 2
+# An acceleration above which the units of an action are doubtful [m/s^2]: no car reaches it. Large negative
+# accelerations are allowed, because planners use them to brake as hard as possible.
+NO_ACCELERATION = 30.0
+
+
+class SetupFaultError(Exception):
+    """The same exception in all first runs of a search, or in a replay and some random scenarios."""
+
+    def __init__(self, run: Run, verdict: Verdict, runs: str, *, is_replay: bool = False) -> None:
+        super().__init__(f"{runs} ended in {verdict.exception!r}")
+        self.run, self.verdict, self.runs, self.is_replay = run, verdict, runs, is_replay
+
+    @property
+    def received(self) -> str:
+        failure = self.verdict.failure
+        return "" if failure is None else f"{failure.kind}: {failure.message}"
+
+    def first_decision(self, world: BaseWorld, policy: Policy, *, of_si: str, of_env: str) -> str:
+        asked = None if policy.drives_itself else world.first_decision(self.run.trace.scenario)
+        # If the world has no advice, it depends on whether the decision is in SI units or the environment's.
+        return "" if asked is None else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
+
+    def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
+        """Return the exception to raise, with an explanation and a way out."""
+        verdict = self.verdict
+        nothing = "so nothing was saved" if not self.is_replay else "so it shows nothing about any saved scenario"
+        again = "replay" if self.is_replay else "search"
+        if verdict.is_ads or verdict.exception is None:
+            asked = self.first_decision(
+                world,
+                policy,
+                of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
+                of_env="A policy needs the config= and the wrappers= with which it was trained. A planner in SI units "
+                "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
+            )
+            return PlainFailure(
+                f"{verdict.exception}\n\n"
+                f"This happened in {self.runs}, at the first decision. It is an error in the set-up and not a finding, "
+                f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{asked}"
+            )
+        verdict.exception.add_note(
+            f"This happened in {self.runs}, whatever the ego did. It is an error in the test function and not a "
+            f"finding, {nothing}. Correct the line and {again} again. Use assert if it should be a finding."
+        )
+        return verdict.exception
+
+
+def cause_of(run: Run, verdict: Verdict) -> Cause | None:
+    """Return the cause of a failure that may be a fault of the set-up, or None."""
+    failure = verdict.failure  # an assertion is never a fault of the set-up
+    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
+        return None
+    if not verdict.is_ads:
+        return failure.kind, failure.assertion
+    error = run.ads_error
+    # After the first decision, or if the ADS hangs, the cause can be the scenario or the machine.
+    if error is None or error.tick > 0 or error.interrupted:
+        return None
+    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
+
+
+def unit_doubt(trace: Trace) -> str:
+    """Return a hint if actions in SI units seem to have wrong units, or an empty string."""
+    steering = speed = acceleration = 0.0
+    for action in trace.actions:  # one loop without calls, which is fast, because each run is checked
+        if type(action) is tuple and len(action) == 2:
+            wanted, angle = action
+            steering = abs(angle) if not -steering <= angle <= steering else steering
+        elif isinstance(action, LaneCommand):
+            wanted = action.acceleration or 0.0
+            speed = max(speed, action.speed or 0.0)
+        else:
+            continue
+        acceleration = wanted if wanted > acceleration else acceleration
+    if steering > NO_STEERING:
+        return (
+            f"the ADS requested a steering angle of {steering:.3g} rad, but only "
+            f"{possible_steering(steering):.2f} rad takes effect. Convert degrees with math.radians(...). An action is "
+            "(acceleration, steering), in this order"
+        )
+    if speed > TOP_SPEED:
+        return (
+            f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s. "
+            "Divide km/h by 3.6"
+        )
+    if acceleration > NO_ACCELERATION:
+        return (
+            f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, but only "
+            f"{possible_acceleration(acceleration):g} m/s^2 takes effect. An action is (acceleration, steering), not a "
+            "speed"
+        )
+    return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """The policy with which a search compares the tested policy, such as an earlier version."""
+
+    policy: Policy
+    name: str  # the name in saved files; empty if no string can refer to the factory
+
+    @property
+    def shown(self) -> str:
+        return self.name or "the reference"
+
+
+def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], tested: Policy) -> Reference | None:
+    """Return the reference that the option ``against`` specifies, or None.
+
+    Raises:
+        AgainstError: if ``given`` does not specify a different factory.
+    """
+    if given is None:
+        return None
+    found: Any = given
+    if isinstance(given, str):
+        try:
+            found = factory_named(given) if ":" in given else fixture(given)
+        except ValueError as error:
+            raise AgainstError(f"against: {error}") from error
+    if not callable(found):
+        raise AgainstError(
+            "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
+            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(". ")
+        )
+    reference = Reference(policy=Policy(found), name=given if isinstance(given, str) else name_of(found))
+    if same := same_policy(tested.factory, found):
+        raise AgainstError(f"against ({reference.shown}): {same}")
+    return reference
+
+
+def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
+    """Return an error message if two factories make the same policy, or an empty string."""
+    # They do if they have the same perception, name and arguments, and if all their source files have the same content.
+    # All files count, because a copy of one module still imports the other modules of the present policy.
+    if sight_of(ads) != sight_of(other):
+        return ""
+    ads, other = (each.ads if isinstance(each, Perception) else each for each in (ads, other))
+    if ads is not other:
+        parts = [_parts(each) for each in (ads, other)]
+        if None in parts or parts[0] != parts[1]:
+            return ""
+        files, others = source_files(ads), source_files(other)
+        if not files or _contents(files, others) != _contents(others, files):
+            return ""
+    return (
+        "expected a different policy, received one with the same name and the same files as the tested policy. Put "
+        "the earlier policy, with all its modules, into a package with a different name."
+    )
+
+
+def _parts(factory: Any) -> object:
+    # Return None if the name does not identify the policy that the factory makes.
+    if isinstance(factory, partial):
+        inner = _parts(factory.func)
+        return None if inner is None else (inner, repr(factory.args), repr(factory.keywords))
+    name = getattr(factory, "__qualname__", None)
+    return None if name is None or "<" in name else name
+
+
+# Signs that a module opens data next to its file. A copy of the module then opens other data.
+BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
+
+
+def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple[str, str]]) -> Counter[str]:
+    # Hash the source files. If they open data next to them, hash the data, too, except in folders that both have.
+    hashes = Counter(digest for _, digest in files.values())
+    if any(path.is_file() and BY_ITS_PLACE.search(path.read_bytes()) for path in files):
+        folders = {path.parent for path in files} - {path.parent for path in others}
+        data = (path for folder in folders for path in folder.rglob("*") if path.suffix not in (".py", ".pyc"))
+        hashes.update(hashlib.sha256(path.read_bytes()).hexdigest() for path in data if path.is_file())
+    return hashes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Harness:
+    """The world, policy, test function and folders for the scenarios of one test."""
+
+    request: Request
+    world: BaseWorld  # the world of the search; a saved scenario may have a different one
+    policy: Policy
+    test: Test
+    test_file: str
+    node_id: str  # the node id of the test, without the part that the plugin adds
+    saved_node_id: Callable[[str], str]  # returns the node id of the item for the id of a saved scenario
+    folder: Path  # the folder of the test's saved scenarios
+    records: Path  # the folder of crash records
+    root: Path  # the folder of the project; paths in messages are relative to it
+    versions: dict[str, str]  # versions of the packages that affect a run
+    against: Reference | None = None  # the reference, which must pass a scenario so that a failure counts
+    cluster: Cluster | None = None  # the workers on other machines that run scenarios, if any
+    # True if the run is the only argument of the test function, so that forked processes can call it, too
+    needs_only_run: bool = False
+
+    def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
+        """Return the job for a worker process, by default in the world of the search."""
+        world = self.world if world is None else world
+        with refusals():  # only building the environment shows whether a pafot.World can be used
+            data = codec.described(world)
+            with REPLACED.shown(True):
+                self.policy.preload()
+        owner = owner or self.node_id  # crashes are recorded under this node id
+        return Job(
+            world=world,
+            policy=self.policy,
+            records=self.records,
+            owner=owner,
+            world_data=data,
+            root=self.root,
+        )
+
+    def run_of(self, trace: Trace, world: BaseWorld | None = None) -> Run:
+        return (self.world if world is None else world).run_of(trace)
+
+    def judge(self, run: Run) -> Verdict:
+        __tracebackhide__ = True
+        return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
+
+    @property
+    def against_name(self) -> str:
+        return "" if self.against is None else self.against.shown
+
+    def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
+        return self.judge(self.run_of(trace, world))
+
+    def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Here | None:
+        if self.against is None:
+            return None
+        with refusals():
+            job = replace(job, policy=self.against.policy, reference=self.against.shown)
+            return runner_for(job, record, isolate=isolate)
+
+    def judge_reference(self, runner: Here, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
+        __tracebackhide__ = True
+        return self.run_reference(runner, scenario, world)[1]
+
+    def run_reference(
+        self, runner: Here, scenario: Scenario, world: BaseWorld | None = None
+    ) -> tuple[Run | None, Verdict]:
+        """Run the reference in a scenario. Return the run, or None if its process was lost, and the verdict."""
+        __tracebackhide__ = True
+        try:
+            with refusals("the reference"):
+                trace = runner.once(scenario)
+        except ProcessLostError as error:
+            return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True)
+        except RequestError as error:
+            text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
+            named = f" ({self.against_name})" if self.against_name else ""
+            raise AgainstError(f"against{named}: {text}") from None
+        run = self.run_of(trace, world)
+        return run, self.judge(run)
+
+    @contextmanager
+    def recording(self, job: Job) -> Iterator[CrashRecord]:
+        """Provide a crash record, which stays on disk only if the process dies."""
+        try:
+            with job.crash_record() as record:
+                yield record
+        finally:
+            with suppress(OSError):  # The folder has records of other processes, or was never created.
+                self.records.rmdir()
+
+    def left_behind(self, owner: str = "") -> list[Leftover]:
+        """Return the crash records of processes that died in runs of this test."""
+        return left_by(owner or self.node_id, self.records)
+
+
+@contextmanager
+def refusals(whose: str = "the ADS") -> Iterator[None]:
+    """Turn errors that the user can correct into request errors."""
+    __tracebackhide__ = True
+    try:
+        yield
+    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
+        raise RequestError(str(error)) from None
+    except skips() as error:  # raised by the factory: exceptions of the ADS are in the trace
+        raise RequestError(no_skip(f"the factory of {whose}", error)) from None
+    except exits() as error:
+        let_through(error)
+        raise RequestError(
+            f"the factory of {whose} called pytest.exit({str(error)!r}), but a factory must not end the session. "
+            "Raise a different exception."
+        ) from None
+
+
+def checked_factory(given: object, name: str) -> Callable[..., Any]:
+    """Return the value of a fixture if it is an ADS factory, or raise an error."""
+    if not callable(given):
+        hint = hint_at_object(given)
+        raise RequestError(
+            f"expected the fixture {name!r} to return a factory, a function that makes a new ADS for each scenario, "
+            f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
+        )
+    return given
+
+
+def is_same_run(a: Run, b: Run) -> bool:
+    """Return whether two runs are identical to the last bit."""
+    first, second = a.trace.states, b.trace.states
+    return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+def begins_alike(run: Run, longer: Run) -> bool:
+    """Return whether ``longer`` starts with the same states as ``run``."""
+    first, second = run.trace.states, longer.trace.states
+    if len(second) <= len(first) or run.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD):  # nothing to continue
+        return is_same_run(run, longer)
+    return first.tobytes() == second[: len(first)].tobytes()

@@ -1,0 +1,1 @@
+"""The work on findings after a search: shrinking, confirmation and examination."""

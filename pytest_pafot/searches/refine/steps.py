@@ -1,0 +1,204 @@
+"""The work on the findings of a search after its last run.
+
+Each finding is already saved and reported. Each step replaces the file and the report.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.findings.finding import Expect, ending
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, described
+from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
+from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searches.bench import Bench
+from pytest_pafot.searches.events import Note, Phase, Refining
+from pytest_pafot.searches.harness import headline
+from pytest_pafot.searches.refine.moment import with_conditions, with_moment
+from pytest_pafot.searches.refine.simplest import Simplest, Turn, check_limits, failure_rate, shows, simplest_of
+from pytest_pafot.searches.results import State
+from pytest_pafot.searches.store import Store, lose
+from pytest_pafot.support.errors import DriverError, OutOfTime
+from pytest_pafot.support.text import one_line
+from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
+
+# The number of decisions that work on findings can always request, even after a short search.
+LEAST_DECISIONS = 2000
+
+# The fraction of these decisions that shrinking can use. The remaining ones are for the examination of findings.
+FOR_SHRINKING = 0.75
+
+# The steps that examine the simplest scenario of a finding, by their subject. If a step runs out of time or raises an
+# error, the others are skipped for this finding.
+EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
+
+
+def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf) -> Refining[None]:
+    """Shrink, confirm and examine the findings in the order of discovery, before the time ``until`` [s]."""
+    __tracebackhide__ = True
+    bench.refining_end, before, searched = until, bench.decisions, state.counts.decisions
+    # Unless the user sets a limit, this work can request as many decisions as the search did.
+    bench.asked = 0
+    bench.refining_most = math.inf if bench.harness.request.settings.shrink_runs else max(searched, LEAST_DECISIONS)
+    with bench.runner:
+        # Shrink and confirm each finding, and try a careful driver. Skip findings that cannot be shrunk: crashes, those
+        # that depend on wall-clock time, and flaky ones that are not random.
+        try:
+            refined = yield from _in_turns(state, bench, store)
+        finally:
+            state.shrink_decisions = bench.decisions - before
+        # Examine the decisions that led to findings with repeatable runs.
+        try:
+            for sighting in list(store.findings.values()):
+                if sighting.is_firm and (sighting.id in refined or bench.is_at_limit):
+                    yield from _examined(sighting, state, bench, store)
+        finally:
+            state.moment_decisions = bench.decisions - before - state.shrink_decisions
+
+
+def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
+    # A turn has an equal part of the remaining time and decisions. What it does not use goes to the next findings.
+    done = set[str]()
+    waiting = [id_ for id_, each in store.findings.items() if each.is_firm or each.is_random]
+    for sharing, id_ in zip(range(len(waiting), 0, -1), waiting, strict=True):
+        bench.is_at_limit, was_at_limit = False, bench.is_at_limit
+        now, is_done = bench.clock(), False
+        left, most = bench.refining_end - now, FOR_SHRINKING * bench.refining_most - bench.asked
+        try:
+            with runs_end_in(max(left, 0.0)):
+                turn = Turn(end=now + left / sharing, most=bench.asked + most / sharing)
+                is_done = yield from _simplified(store.findings[id_], state, bench, store, turn)
+        except (OutOfTime, OutOfBudget):  # The finding stays as it is, or as far as it was shrunk.
+            pass
+        except ProcessLostError as error:
+            store.call_flaky(store.findings[id_], f"the process that ran it again {error.end}")
+            yield from lose(error, state, bench, store)
+            is_done = True
+        if is_done:
+            done.add(id_)
+        else:
+            sighting, why = store.findings[id_], "out of decisions" if bench.is_at_limit else "out of time"
+            cut = f"not simplified: {why}" if sighting.finding.shrunk is None else f"simplified in part: {why}"
+            yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
+        bench.is_at_limit |= was_at_limit
+    return done
+
+
+def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
+    # Return True if nothing is left to do.
+    __tracebackhide__ = True
+    original = sighting.finding.scenario
+    # Measure how often the scenario fails if the policy draws random numbers. Another thread of this process may have
+    # drawn them in one run, but probably not in two.
+    is_new = sighting.is_random and sighting.finding.rate is None
+    if is_new and (sighting.is_flaky or bench.rerun(sighting.finding.scenario).trace.drew):
+        rate = yield from failure_rate(sighting, sighting.finding.scenario, state, bench)
+        sighting = replace(sighting, finding=replace(sighting.finding, rate=rate))
+        sighting = store.rewritten(sighting)
+        yield from store.publish(sighting)
+    if sighting.is_flaky:
+        return True
+    # Find the simplest scenario that fails in the same way, and run it again.
+    simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
+    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most  # so that a careful driver is tried
+    if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
+        return False
+    simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
+    if differs and simplest.scenario != original:
+        # The simplified scenario is not repeatable, so return to the original scenario, which may be flaky, too.
+        shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
+        simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
+        simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
+    if differs:
+        sighting = store.call_flaky(sighting, differs)
+        yield from store.publish(sighting)
+        if sighting.is_random:  # its first runs were the same by chance
+            return (yield from _simplified(sighting, state, bench, store, turn))
+    else:
+        # Replace the scenario in the file by the simplest one, and add what a careful driver would have done.
+        refined = yield from _with_takeover(sighting, simplest, run, verdict, bench)
+        if refined is not sighting:
+            yield from store.publish(store.rewritten(refined))
+    return bool(differs) or not simplest.is_cut
+
+
+def _confirmed(
+    sighting: Seen, simplest: Simplest, state: State, bench: Bench
+) -> Refining[tuple[Simplest, Run, Verdict, str]]:
+    # Run the simplest scenario again. Return it with its rate of failures, if they are random, then the run, its
+    # verdict, and its difference from the finding, which is empty if the finding is confirmed.
+    __tracebackhide__ = True
+    scenario, rate = simplest.scenario, sighting.finding.rate
+    run = bench.run(scenario)
+    verdict = bench.finish(run)
+    if not shows(sighting, run, verdict, state, bench):
+        otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
+        differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
+    else:
+        is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
+        again = "" if is_confirmed else bench.confirm(scenario, run.trace)[-1]
+        if again is None:
+            raise OutOfTime
+        differs = again
+    if not differs and rate is not None and scenario != sighting.finding.scenario:
+        rate = yield from failure_rate(sighting, scenario, state, bench)
+    return replace(simplest, rate=rate), run, verdict, differs
+
+
+def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refining[None]:
+    # An error here must not end the search, because a user's simulator may only support scenarios of a search.
+    __tracebackhide__ = True
+    for about, step in EXAMINATIONS.items():
+        try:
+            check_limits(bench)
+            with runs_end_in(bench.refining_end - bench.clock()):
+                sighting = yield from step(sighting, state, bench)
+                yield from store.publish(sighting)
+        except OutOfBudget:  # the summary reports it
+            return
+        except OutOfTime:
+            yield Note(f"{about} of saved-{sighting.id} not examined: out of time")
+            return
+        except Exception as error:
+            if is_interruption(error):
+                raise
+            yield Note(f"{about} of saved-{sighting.id} not examined: {type(error).__name__}: {one_line(str(error))}")
+            return
+
+
+def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench) -> Refining[Seen]:
+    # Add what a careful driver could have avoided by taking over in the confirmed scenario.
+    if verdict.failure is None or verdict.exception is None:
+        return sighting
+    harness, scenario, then = bench.harness, simplest.scenario, sighting.observed
+    before, shrunk = replace(sighting.finding, rate=simplest.rate), simplest.shrunk
+    if scenario != before.scenario:
+        shrunk = replace(shrunk, before=described(before.scenario, before.longest_run))
+    yield Phase(f"a careful driver takes over in saved-{sighting.id}", sighting.id)
+    takeover = None
+    try:
+        takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
+    except DriverError as error:  # the world cannot simulate the driver
+        yield Note(f"{error}; findings do not state what this driver would have done")
+    # The file now describes the simplest scenario. Only its id and its origin are those of the first run.
+    finding = replace(
+        before,
+        scenario=scenario,
+        expect=Expect.of(
+            run, verdict.failure, takeover=takeover, against=before.expect.against, root=str(harness.root)
+        ),
+        shrunk=shrunk if shrunk.rollouts else None,
+    )
+    # If nothing has changed, the caller does not write the file again.
+    if finding == before and not sighting.unshrunk:
+        return sighting
+    return replace(
+        sighting,
+        finding=finding,
+        headline=finding.with_sight(headline(run, verdict)),
+        observed=replace(then, run=run, verdict=verdict, severity=verdict.severity),
+        unshrunk="",
+    )

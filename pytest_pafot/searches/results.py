@@ -1,0 +1,406 @@
+"""The results and the counts of runs, without their traces."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Set
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any, Literal, Self
+
+from pytest_pafot.algorithms.evaluation import Evaluation, Health, PlanFinished
+from pytest_pafot.algorithms.space import SearchSpace
+from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
+from pytest_pafot.findings.finding import Finding, Found, is_faster, of_failure, speed_of
+from pytest_pafot.findings.sighting import Alike
+from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searches.harness import Cause, Harness, cause_of, headline, unit_doubt
+from pytest_pafot.support import monotonic
+from pytest_pafot.support.references import policy_name
+from pytest_pafot.support.text import plural
+from pytest_pafot.world import codec
+
+# The kinds of verdicts on runs that failed, even if the failure does not count.
+FAILING = ("failed", "common")
+Fails = Literal["", "ego", "check", "otherwise"]
+
+# For each known failure, the highest accepted closing speed [m/s], and the id of the file that accepts it.
+Accepted = dict[Signature, tuple[float, str]]
+
+UNJUDGED = ("npc", "invalid")  # the kinds of verdicts on runs for which the test function was not called
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failed:
+    """A failure that counts and was new to the process that simulated it."""
+
+    signature: Signature  # the identity of the failure
+    finding: Finding  # the content of the file, except for the number of the generation
+    headline: str  # one line on the failure
+    text: str  # the message of the failure, without a traceback
+    # The trace, which another run of the scenario must repeat; None if it depends on wall-clock time.
+    trace: Trace | None
+    drew: bool  # whether the policy drew random numbers
+
+    def found_in(self, generation: int) -> Finding:
+        """Return the content of the file, with the number of the generation."""
+        return replace(self.finding, found=replace(self.finding.found, generation=generation))
+
+
+# The process that simulates a scenario also evaluates the run. It sends a Result, or only Counts, but not the trace,
+# which is large.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """The result of a run, without its trace."""
+
+    # The evaluation for the algorithm. Its kind is the signature of the failure, if that counts.
+    evaluation: Evaluation
+    kind: str  # kind of the verdict
+    ended: str  # how the run ended; `lost` if its process died or hung
+    responsible: str | None = None  # side responsible for the collision, or None
+    # How the run failed, even if that does not count: `ego` for a collision for which the ego is responsible, alone or
+    # with the NPC, `check` for a failed check, `otherwise` for any other failure; empty if it passed.
+    fails: Fails = ""
+    decisions: int = 0  # number of decisions of the ADS
+    severity: Severity | None = None  # severity of a failure; None if nothing measures it
+    failed: Failed | None = None  # the failure, if it counts and is new
+    cause: Cause | None = None  # cause of a failure that can be a fault of the set-up
+    caught: tuple[str, ...] = ()  # names of checks that failed although the test function passed
+    doubt: str = ""  # a hint if the actions seem to have wrong units
+    # How the reference itself failed in the scenario; empty if it did not, None if it was not run.
+    broken: str | None = None
+
+    def beside(self, reference: Verdict) -> Self:
+        # The failure counts only if the reference passes. If its run is invalid, the comparison is invalid, too.
+        failure = reference.failure if reference.is_ads else None
+        broken = "" if failure is None else f"{failure.kind}: {failure.message}"
+        if reference.passes:
+            return replace(self, broken=broken)
+        evaluation = replace(self.evaluation, failing=False, kind=None)
+        kind = "invalid" if reference.kind == "invalid" else "common"
+        return replace(self, evaluation=evaluation, kind=kind, failed=None, broken=broken)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examiner:
+    """The evaluation of a run in the process that simulated it."""
+
+    harness: Harness  # contains the test function
+    fitness: Callable[[Run], float]  # fitness of a run
+    seed: int  # seed of the search
+    # Returns the columns of a run table, as the note of an evaluation; None without a table.
+    note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
+    accepted: Accepted = field(default_factory=dict)  # the failures that saved scenarios show or accept
+
+    def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
+        # Only the signature of a known failure is returned.
+        __tracebackhide__ = True
+        run = self.harness.run_of(trace)
+        verdict = self.harness.judge(run)
+        failed, signature = None, self.signature_of(run, verdict)
+        fails: Fails = ""
+        if verdict.kind in FAILING:
+            # If the ADS raised an exception or hung, that is the failure, even if a collision followed.
+            fails = "check" if verdict.is_check else "otherwise"
+            fails = fails if verdict.is_ads or run.responsibility not in ("ego", "both") else "ego"
+        if signature is not None and signature not in known and verdict.failure is not None:
+            failed = self._failed(run, verdict.failure, signature, verdict)
+        evaluation = Evaluation.of(
+            trace,
+            fitness=self.fitness(run),
+            failing=verdict.failed,
+            discarded=verdict.discarded,
+            kind=signature,
+            margins=verdict.margins,
+            note=None if self.note is None else self.note(run, verdict),
+        )
+        return Result(
+            evaluation=evaluation,
+            kind=verdict.kind,
+            ended=str(run.outcome),
+            responsible=run.responsibility,
+            fails=fails,
+            decisions=len(trace.actions),
+            severity=verdict.severity,
+            failed=failed,
+            cause=cause_of(run, verdict),
+            caught=tuple({each.name for each in verdict.checks if not each.holds}) if verdict.kind == "passed" else (),
+            doubt=unit_doubt(trace),
+        )
+
+    def signature_of(self, run: Run, verdict: Verdict) -> Signature | None:
+        """Return the signature of a failure that counts, or None."""
+        if not verdict.failed or verdict.failure is None:
+            return None
+        return self.beside_accepted(of_failure(run, verdict.failure), verdict.severity)
+
+    def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
+        """Return the signature of a failure, or a different one if it is worse than the accepted failure."""
+        most, id_ = self.accepted.get(signature, (math.inf, ""))
+        return replace(signature, worse_than=id_) if is_faster(severity, most) else signature
+
+    def _failed(self, run: Run, failure: Failure, signature: Signature, verdict: Verdict) -> Failed:
+        harness = self.harness
+        finding = Finding.of(
+            run,
+            failure,
+            test=harness.node_id,
+            world=codec.described(harness.world),
+            found=replace(found_by(harness, self.seed), worst_closing_speed=speed_of(verdict.severity)),
+            perception=harness.policy.sight,
+            against="" if harness.against is None else harness.against.name,
+            root=str(harness.root),
+        )
+        return Failed(
+            signature=signature,
+            finding=finding,
+            headline=finding.with_sight(headline(run, verdict)),
+            text=str(verdict.exception) if verdict.is_ads else f"{failure.kind}: {failure.message}",
+            trace=None if verdict.is_timed else run.trace,
+            drew=run.trace.drew,
+        )
+
+
+def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
+    """Return the origin of a finding: seed, generation, algorithm, policy and versions."""
+    algorithm = algorithm or harness.request.algorithm.name
+    policy = policy_name(harness.policy.factory)
+    return Found(seed=seed, generation=generation, algorithm=algorithm, policy=policy, versions=harness.versions)
+
+
+def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
+    """Return the result of a scenario in which a process died or hung, now or, without ``death``, before."""
+    expect = None if death is None or is_common else expectation(death)
+    evaluation = Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=expect is not None,
+        kind=None if expect is None else expect.signature,
+        outcome=Outcome.ADS_ERROR if expect is None else expect.outcome,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )
+    return Result(evaluation=evaluation, kind="common" if expect is None else "failed", ended="lost")
+
+
+@dataclass(slots=True, kw_only=True)
+class Counts:
+    """The counts of some runs, to which ``+=`` adds those of later runs."""
+
+    # Numbers of runs by kind of verdict. They add up to the number of runs, as do the next two.
+    kinds: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)  # numbers of runs by outcome
+    responsibilities: Counter[str] = field(default_factory=Counter)  # numbers of runs by who was responsible, or `none`
+    # Numbers of valid runs that were neither rejected nor skipped, by how they failed, see Result.
+    fails: Counter[str] = field(default_factory=Counter)
+    failures: dict[Signature, Alike] = field(default_factory=dict)  # the runs with each failure that counts
+    # Numbers of runs by the cause of a failure that may be a fault of the set-up.
+    causes: Counter[Cause] = field(default_factory=Counter)
+    # Numbers of passed runs by the names of checks that failed in them.
+    caught: Counter[str] = field(default_factory=Counter)
+    decisions: int = 0  # number of decisions of the ADS
+    health: Health = field(default_factory=Health)  # counts that show whether the runs tested anything
+    doubt: str = ""  # the first doubt in a run, see Result
+    broken: str | None = None  # the first failure of the reference itself; empty if it did not fail in all its runs
+
+    @property
+    def runs(self) -> int:
+        return self.kinds.total()
+
+    @property
+    def is_alike(self) -> bool:
+        """True if all evaluated runs failed with the same cause."""
+        judged = self.runs - sum(self.kinds[kind] for kind in UNJUDGED)
+        return len(self.causes) <= 1 and self.causes.total() == judged
+
+    @classmethod
+    def of(cls, result: Result, number: int = 0) -> Self:
+        """Return the counts of one run."""
+        evaluation, counts = result.evaluation, cls()
+        counts.kinds[result.kind] = 1
+        counts.outcomes[result.ended] = 1
+        counts.responsibilities[result.responsible or "none"] = 1
+        if not evaluation.discarded and result.kind != "invalid":
+            counts.fails[result.fails] = 1
+        if isinstance(evaluation.kind, Signature):
+            counts.failures[evaluation.kind] = Alike(
+                runs=1, number=number, severity=result.severity, least=result.severity
+            )
+        if result.cause is not None:
+            counts.causes[result.cause] = 1
+        counts.caught.update(result.caught)
+        counts.decisions, counts.health = result.decisions, Health.of_runs(1, [evaluation])
+        counts.doubt, counts.broken = result.doubt, result.broken
+        return counts
+
+    def __iadd__(self, other: Counts) -> Self:
+        for name in _COUNTERS:
+            getattr(self, name).update(getattr(other, name))
+        for signature, more in other.failures.items():
+            self.failures[signature] = self.failures.get(signature, Alike()) + more
+        self.decisions += other.decisions
+        self.health += other.health
+        self.doubt = self.doubt or other.doubt
+        if None in (self.broken, other.broken):
+            self.broken = other.broken if self.broken is None else self.broken
+        else:
+            self.broken = other.broken and self.broken
+        return self
+
+
+_COUNTERS = [each.name for each in fields(Counts) if str(each.type).startswith("Counter")]
+
+
+@dataclass(slots=True, kw_only=True)
+class Driver:
+    """The simulation of chunks of a random search in other processes."""
+
+    examiner: Examiner  # evaluates each run
+    drawn: Callable[[int], Scenario] | None = None  # returns the scenario of a number; None before the search starts
+
+    def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
+        """Sample and simulate the scenarios of a chunk, and pass the results to ``say``."""
+        assert self.drawn is not None  # noqa: S101  (it is set before the first chunk)
+        known = set(chunk.known)
+        examine = partial(self.examiner, known=known)
+        counts, output, seconds = Counts(), CapturedOutput(), 0.0
+        for number in range(chunk.first, chunk.end):
+            scenario = self.drawn(number)
+            made: Any = None
+            try:
+                if scenario not in chunk.fatal:
+                    made, said, took = run_recorded(job, record, scenario, examine)
+            except MemoryError:  # The session must not use up its memory in the same way.
+                raise
+            except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
+                pass
+            # A message costs the session more time than a run, so runs that are only counted share a message.
+            if isinstance(made, Result) and made.failed is None and self.examiner.note is None:
+                counts += Counts.of(made, number)
+                output, seconds = output.followed_by(said), seconds + took
+                continue
+            if counts.runs:
+                say((counts, output, seconds))
+                counts, output, seconds = Counts(), CapturedOutput(), 0.0
+            if isinstance(made, Result):
+                say((made, said, took))
+                known |= {made.evaluation.kind} - {None}
+            else:  # Only the session can run or evaluate it.
+                say((None, CapturedOutput(), 0.0))
+        if counts.runs:
+            say((counts, output, seconds))
+
+
+@dataclass(slots=True, kw_only=True)
+class State:
+    """The state of a search in progress."""
+
+    counts: Counts = field(default_factory=Counts)  # counts of all runs so far
+    fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
+    is_random: bool = False  # whether all scenarios are random
+    space: SearchSpace | None = None  # the space of its scenarios; None if it only replays
+    clock: Callable[[], float] = monotonic  # returns the time [s]
+    began: float = 0.0  # the time at which this session started [s]
+    shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by their failure
+    finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
+    is_set_up: bool = False  # True once the set-up is known to have no fault
+    first: Scenario | None = None  # the first scenario that may show a fault of the set-up
+    first_skipped: Scenario | None = None  # the first scenario that the test function skipped
+    shrink_runs: int = 0  # number of attempts to shrink findings, and of runs for rates
+    shrink_decisions: int = 0  # number of decisions of the ADS in these runs
+    moment_runs: int = 0  # number of runs to find the moments of findings
+    moment_decisions: int = 0  # number of decisions of the ADS in these runs
+    generation: int = 0  # generation of the main search, from 0
+    finished: PlanFinished | None = None  # the last event of the plan
+
+    @property
+    def runs(self) -> int:
+        return self.counts.runs
+
+    @property
+    def is_alike(self) -> bool:
+        """True while all runs may show the same fault of the set-up."""
+        return not self.is_set_up and self.counts.is_alike
+
+    @property
+    def known(self) -> Set[Signature]:
+        """The failures that are saved, or that this search has already found."""
+        return self.shown.keys() | self.finds.keys()
+
+    @property
+    def covered(self) -> Counter[str]:
+        """The number of runs with the failure of each saved scenario, by its id."""
+        covered = Counter[str]()
+        for signature, alike in self.counts.failures.items():
+            if signature in self.shown:
+                covered[self.shown[signature]] += alike.runs
+        return covered
+
+    def alike(self, find_id: str) -> Alike:
+        """Return the counts of the other runs with the failure of a new finding."""
+        signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
+        kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
+        return replace(kept, runs=kept.runs - 1)  # -1 if only a run to shrink another finding failed in this way
+
+    @property
+    def failures(self) -> dict[Signature, str]:
+        """The id of the saved or new finding for each failure that occurred."""
+        shown = {each: self.shown[each] for each in self.counts.failures if each in self.shown}
+        return shown | self.finds
+
+    @property
+    def known_alone(self) -> str:
+        """A note if only known failures of checks occurred, or an empty string."""
+        checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
+        covered = self.covered
+        if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
+            return ""
+        names = " and ".join(f"saved-{id_}" for id_ in sorted(covered))
+        which = "failure was a known failed check" if len(covered) == 1 else "failures were known failed checks"
+        return f"the only {which}, {names}, in {plural(covered.total(), 'run')}"
+
+    def warnings(self, harness: Harness) -> tuple[str, ...]:
+        counts = self.counts
+        warnings = counts.health.warnings()
+        excused = counts.kinds["npc"]
+        if excused and not counts.kinds["passed"] and not counts.kinds["failed"]:
+            warnings.append(
+                f'the test function was never called, because blame="{harness.request.blame}" excludes all '
+                f"{plural(excused, 'failure')} of this search. Search longer"
+            )
+        warnings += [
+            f"check {name!r} failed in {runs} of {counts.kinds['passed']} runs that passed, because the test function "
+            "caught its exception. Do not catch it, or use pafot.target, which never fails"
+            for name, runs in sorted(counts.caught.items())
+        ]
+        if counts.broken:
+            warnings.append(
+                f"the reference itself failed in all its runs, at first with {counts.broken}, so no failure could "
+                "count. Correct the reference, its factory, or the world= in which it drives"
+            )
+        return tuple(warnings)
+
+    @property
+    def seconds(self) -> float:
+        return self.clock() - self.began
+
+    def take(self, result: Result) -> None:
+        self.counts += Counts.of(result, self.generation if self.is_random else self.runs)
+        if result.cause is not None:
+            self.first = self.first or result.evaluation.executed
+        if result.kind == "skipped":
+            self.first_skipped = self.first_skipped or result.evaluation.executed
+
+    def forget_findings(self) -> None:
+        """Forget all failures, because they are due to a fault in the set-up."""
+        self.counts.failures.clear()
+        self.finds.clear()

@@ -1,0 +1,636 @@
+"""One session of a search, from replays to the summary."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from inspect import GEN_CLOSED, getgeneratorstate
+from typing import Any, Self
+
+from pytest_pafot.algorithms.catalogue import RandomSearch
+from pytest_pafot.algorithms.evaluation import EndReason
+from pytest_pafot.algorithms.fitness import FitnessError, Steered, is_built_in, resolve
+from pytest_pafot.algorithms.plan import Algorithm
+from pytest_pafot.algorithms.space import SearchSpace
+from pytest_pafot.corpus.reader import Saved, saved_in
+from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import forks, judged_apart, runner_for
+from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searches.bench import Bench, left_out_text
+from pytest_pafot.searches.events import (
+    KINDS,
+    Ending,
+    Note,
+    Phase,
+    Search,
+    SearchEvent,
+    SearchStarted,
+)
+from pytest_pafot.searches.harness import Harness, SetupFaultError, no_skip, refusals, skips
+from pytest_pafot.searches.made_worse import MadeWorse
+from pytest_pafot.searches.options import RUNS
+from pytest_pafot.searches.refine.steps import refine
+from pytest_pafot.searches.replays import Replays
+from pytest_pafot.searches.request import build_space
+from pytest_pafot.searches.results import Driver, Examiner, State
+from pytest_pafot.searches.scenarios import Bred, Numbers
+from pytest_pafot.searches.search import LEAST, TimedWatch, Watch, search
+from pytest_pafot.searches.store import Store
+from pytest_pafot.support import monotonic
+from pytest_pafot.support.errors import OutOfTime, RequestError, flag
+from pytest_pafot.support.process import postponed
+from pytest_pafot.support.text import plural
+from pytest_pafot.world import WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.guard.chance import GENERATORS
+from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
+
+# The largest fraction of the time limit that is reserved to shrink findings and to find their moments.
+FOR_SIMPLIFYING = 1 / 3
+
+AFTER_A_DEATH = f"the ADS ran in separate processes ({flag('isolate')}), because a process died in this search before"
+
+# The endings after which there are enough runs for health warnings.
+WITH_WARNINGS = Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
+# A run that the time limit stops is reported if it took more than this many times as long as the mean run before it.
+SLOW_RUNS = 10
+
+
+def search_seed(base_seed: int, node_id: str) -> int:
+    """Derive the seed of a search from the base seed and the node id of the test."""
+    return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchResult:
+    """The result of a session of a search."""
+
+    summary: Search
+    findings: tuple[Seen, ...]
+    count: int  # number of distinct new findings, saved or only counted
+    first_exception: BaseException | None  # the exception of the first finding; None without one
+    fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
+    skip: BaseException | None  # the last skip, if the test function skipped every run
+    is_vacuous: bool  # True if most runs tested nothing, or if a broken reference prevented every failure from counting
+
+
+class ListenerError(RuntimeError):
+    """A StopIteration of a consumer of events, which cannot be raised in a generator."""
+
+    def __init__(self, error: StopIteration) -> None:
+        super().__init__(
+            f"the listener for the events of a search raised {error!r}, as next() does without a default, but it must "
+            "return. Catch the exception there."
+        )
+        self.__cause__ = error
+
+
+class Events:
+    """The events of a search, for a consumer that may fail.
+
+    Loop over them inside ``with events:``. An exception in the context is raised in the search, which then ends and
+    still reports its results.
+
+    Attributes:
+        result: the result of the search, after the last event.
+    """
+
+    result: SearchResult
+
+    def __init__(self, happens: Generator[SearchEvent, None, SearchResult]) -> None:
+        self._happens = happens
+        self._error: BaseException | None = None
+
+    @property
+    def is_over(self) -> bool:
+        return getgeneratorstate(self._happens) == GEN_CLOSED
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> SearchEvent:
+        __tracebackhide__ = True
+        error, self._error = self._error, None
+        try:
+            return next(self._happens) if error is None else self._happens.throw(error)
+        except StopIteration as end:
+            self.result = end.value
+            raise
+        finally:
+            del error  # its traceback refers to this frame
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
+        if isinstance(error, StopIteration):
+            # A generator would replace it by an error at the line where the search waits.
+            error = ListenerError(error)
+        self._error = None if self.is_over else error
+        return not self.is_over
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """A search that is ready to run."""
+
+    state: State
+    bench: Bench
+    store: Store
+
+    def search(
+        self,
+        algorithm: Algorithm[Any] | RandomSearch,
+        *,
+        generations: int,
+        runs: int | None,
+        seed: int,
+        stop: Callable[[], bool],
+    ) -> Generator[SearchEvent, None, None]:
+        """Search until ``stop()`` returns True, without a time limit, and only count failures."""
+        self.store.only_counts = True
+        return search(
+            scenarios_of(algorithm, self.bench, generations=generations, runs=runs, seed=seed),
+            self.state,
+            self.bench,
+            self.store,
+            Watch(stop),
+        )
+
+    def watch(self, node_id: str, limit: float, *, progress_seconds: float) -> TimedWatch:
+        return TimedWatch(
+            node_id=node_id,
+            state=self.state,
+            bench=self.bench,
+            store=self.store,
+            limit=limit,
+            most=self.bench.harness.request.settings.stop_after,
+            progress_seconds=progress_seconds,
+        )
+
+
+@contextmanager
+def prepared(
+    harness: Harness,
+    *,
+    space: SearchSpace | None = None,
+    is_steered: bool = True,
+    note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
+) -> Iterator[Prepared]:
+    """Build the parts of a search, and stop their processes at the end.
+
+    Raises:
+        RequestError: if the fitness does not exist, or the world cannot be used.
+    """
+    request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    if space is None and request.settings.is_search:
+        space = build_space(request, harness.world)
+    # The fitness leads the search to collisions for which the ego is responsible.
+    is_for_ego = is_steered and request.blame != "any"
+    try:
+        fitness = Steered(resolve(request.fitness), is_for_ego=is_for_ego)
+    except FitnessError as error:
+        raise request.error("fitness=...", error) from None
+    job, settings = harness.job(), request.settings
+    examiner = Examiner(harness=harness, fitness=fitness, seed=seed, note=note)
+    # Forked processes evaluate their own runs. A fitness function of the user is called only in this process, where its
+    # errors are reported.
+    why_here = _why_judged_here(harness)
+    driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
+    remark = f"; this one evaluates all runs, because {why_here}" if why_here else ", which also evaluate their runs"
+    job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
+    with ExitStack() as stack:
+        record = stack.enter_context(harness.recording(job))
+        with refusals():
+            runner = runner_for(
+                job,
+                record,
+                workers=settings.workers,
+                isolate=settings.isolate,
+                cluster=harness.cluster,
+            )
+        stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
+        reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
+        if reference is not None:
+            stack.push(reference.__exit__)
+        state = State(clock=monotonic, space=space, began=monotonic())
+        yield Prepared(
+            state=state,
+            bench=Bench(
+                harness=harness,
+                runner=runner,
+                record=record,
+                reference=reference,
+                driver=driver,
+                examiner=examiner,
+                clock=state.clock,
+            ),
+            store=Store(harness=harness, seed=seed),
+        )
+
+
+def scenarios_of(
+    algorithm: Algorithm[Any] | RandomSearch, bench: Bench, *, generations: int | None, runs: int | None, seed: int
+) -> Bred | Numbers:
+    """Return the scenarios of a search, up to a number of generations or runs."""
+    if isinstance(algorithm, RandomSearch):
+        return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
+    seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
+    return Bred(bench, algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter)
+
+
+def _why_judged_here(harness: Harness) -> str:
+    # Return why only this process can evaluate runs, or an empty string if the other processes can, too.
+    if not is_built_in(harness.request.fitness):
+        return "the fitness is your own"
+    if not harness.needs_only_run:
+        return "the test function has other arguments than the run"
+    is_apart = harness.cluster is not None  # its workers may be on other machines
+    return "they were not forked from it" if is_apart or not forks() else ""
+
+
+# Start to read at `run`. The loop over scenarios is in searches/search.py.
+@dataclass(slots=True, kw_only=True)
+class SearchSession:
+    """One session of the search of a test, from replays to the summary."""
+
+    watch: TimedWatch
+    replays: Replays
+    driver_notes: list[str] = field(default_factory=list)  # notes on drivers and slow runs, for the summary
+    process_notes: list[str] = field(default_factory=list)  # notes on processes, for the summary
+    _worse: MadeWorse | None = field(init=False, default=None)  # only for a search with findings and a reference
+
+    @property
+    def state(self) -> State:
+        return self.watch.state
+
+    @property
+    def bench(self) -> Bench:
+        return self.watch.bench
+
+    @property
+    def store(self) -> Store:
+        return self.watch.store
+
+    @property
+    def limit(self) -> float:
+        return self.watch.limit
+
+    @property
+    def harness(self) -> Harness:
+        return self.bench.harness
+
+    def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
+        # An exception of the consumer must not reach the generator that yields, which could take it for an error of the
+        # user's world. The generator is closed immediately. Otherwise, it could delay all later interrupts.
+        try:
+            for event in happened:
+                match event:
+                    case Phase():
+                        yield from self.watch.progress(*event)
+                    case Note():  # for example, if the world cannot simulate a careful driver
+                        if event.text not in self.driver_notes:
+                            self.driver_notes.append(event.text)
+                    case _:
+                        yield event
+        finally:
+            if isinstance(happened, Generator):
+                happened.close()
+
+    def run(self) -> Generator[SearchEvent, None, SearchResult]:
+        """Replay saved scenarios, search, refine the findings, and report a summary.
+
+        Raises:
+            RequestError: if the search cannot be run as requested.
+        """
+        __tracebackhide__ = True
+        harness, state, bench, store = self.harness, self.state, self.bench, self.store
+        yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
+        began = state.clock()
+        bench.refining_end = max(self.limit, began + LEAST)
+        # If a process of an earlier session died, run its scenario again before anything else.
+        pending = yield from self._retried(harness.left_behind())
+        reason, fault, is_closed = Ending.INTERRUPTED, None, False
+        try:
+            with bench.runner:
+                reason = yield from self._searched(saved_in(harness.folder), began)
+            # Report all findings before shrinking, which takes long and may be cut short.
+            self._settle(reason)
+            yield from self._events(store.release())
+            yield from self._events(store.note_worst(state))
+            # With a reference, findings are shrunk only if they show that the policy became worse.
+            if harness.against is not None and state.space is not None and store.count:
+                now = state.clock()
+                self._worse = MadeWorse(
+                    state=state,
+                    bench=bench,
+                    store=store,
+                    end=now + (self.limit - now) / 2,
+                )
+                yield from self._events(self._worse.compare(state.space))
+            yield from self._refine()
+        except SetupFaultError as error:
+            reason, fault = Ending.ERROR, error
+            yield from self._events(store.withdraw())
+            state.forget_findings()
+        except BaseException as error:
+            is_closed = isinstance(error, GeneratorExit)
+            reason = Ending.INTERRUPTED if is_closed or is_interruption(error) else Ending.ERROR
+            raise
+        finally:
+            # Yield the findings and the summary even after an error, including one of the consumer, see Events.
+            with postponed():
+                self._settle(reason)
+                released = self._events(store.release())
+                if is_closed:  # no consumer is left, so findings are only saved
+                    deque(released, maxlen=0)
+                else:
+                    yield from released
+                for leftover in pending:
+                    leftover.discard()
+                self.process_notes += bench.runner.notes
+                if bench.record.error:
+                    self.process_notes += [str(bench.record.error)]
+                summary = self._summary(reason)
+                if not is_closed:
+                    yield summary
+        return SearchResult(
+            summary=summary,
+            findings=tuple(store.findings.values()),
+            count=store.count,
+            first_exception=store.first_exception,
+            fault=None if fault is None else fault.shown(harness.world, harness.policy),
+            skip=self._skip(),
+            is_vacuous=state.counts.health.vacuous or bool(state.counts.broken),
+        )
+
+    def _skip(self) -> BaseException | None:
+        # If the test function skipped every run, run the first skipped scenario again, so that its skip skips the item.
+        __tracebackhide__ = True
+        state, bench = self.state, self.bench
+        if state.first_skipped is None or state.counts.kinds["skipped"] < state.runs:
+            return None
+        try:
+            verdict = bench.finish(bench.run(state.first_skipped))
+        except ProcessLostError:  # without a skip to report, the item has its usual result
+            return None
+        return verdict.exception if verdict.kind == "skipped" else None
+
+    def _settle(self, reason: Ending) -> None:
+        # If the search was cut short, failures that arrived before their turn count. Otherwise, they are forgotten.
+        is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
+        for signature, id_, counts in self.store.settle(keeps=is_cut):
+            self.state.finds[signature] = id_
+            self.state.counts += counts
+
+    def _refine(self) -> Iterator[SearchEvent]:
+        __tracebackhide__ = True
+        with GENERATORS.held():
+            yield from self._events(refine(self.state, self.bench, self.store, until=self.limit))
+
+    def _retried(self, left: Sequence[Leftover]) -> Generator[SearchEvent, None, list[Leftover]]:
+        # Run the scenario of each dead process again, in the same world. The crash records that are returned are
+        # discarded at the end of the search. If this session dies, the next one reads them. A process may also have
+        # been killed from outside, because a job was cancelled or memory was short. Then its scenario shows nothing
+        # about the ADS. It is a finding if a second process dies in it, or if none can be started. It is also a finding
+        # if two processes had already died in it, even if both were killed: the cause is probably something that
+        # accumulates from run to run, such as memory, which would otherwise never be reported.
+        harness, pending = self.harness, list[Leftover]()
+        for leftover in left:
+            same = [each for each in left if each.scenario == leftover.scenario]
+            world, scenario = self._world_of(leftover), leftover.scenario
+            assert scenario is not None  # noqa: S101  (the record has an owner, so it could be read)
+            if same[0] is not leftover:  # of several records of a scenario, only the first counts
+                leftover.discard()
+                continue
+            pending.append(leftover)
+            who = f"a process (pid {leftover.pid}) died while"
+            if leftover.reference:  # the reference is the cause, so the ADS is not run again
+                self.process_notes.append(
+                    f"{who} the reference {leftover.reference} drove in {scenario}, which shows nothing about the "
+                    f"ADS. Correct the reference, or use {flag('isolate')} to run it in another process"
+                )
+                continue
+            if world is None:
+                self.process_notes.append(
+                    f"{who} it ran {scenario!r:.300} in a world that can no longer be built here, "
+                    f"{dict(leftover.world or {})!r:.200}. The run cannot be repeated, so it is no finding"
+                )
+                continue
+            death, trace = None, None
+            if harness.request.settings.isolate or forks():
+                try:
+                    trace = judged_apart(harness.job(world), scenario, partial(harness.judge_trace, world))
+                except ProcessLostError as error:
+                    death = error
+                except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
+                    pass
+            has_died_twice = sum(not each.is_watched for each in same) > 1
+            # An error of the ADS at its first decision may occur only in the separate process.
+            raised = None if trace is None else trace.error
+            is_well = trace is not None and (raised is None or (raised.tick > 0 and not raised.interrupted))
+            if has_died_twice or not is_well:
+                sighting = self.store.add_crash(leftover, scenario, death)
+                pending.remove(leftover)
+                leftover.discard()
+                yield from self._events(self.store.publish(sighting))
+                continue
+            self.process_notes.append(
+                f"{who} it ran {scenario}, but the scenario completed when it was repeated. The process was "
+                "probably killed from outside, or ran out of memory"
+            )
+        return pending
+
+    def _world_of(self, leftover: Leftover) -> BaseWorld | None:
+        # Return None if the world cannot be built.
+        if leftover.world in (None, self.harness.job().world_data):
+            return self.harness.world
+        try:
+            return None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
+        except (WorldError, TypeError, ValueError):
+            return None
+
+    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
+        __tracebackhide__ = True
+        state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
+        if space is None:
+            return Ending.REPLAYS
+        request, settings = self.harness.request, self.harness.request.settings
+        try:
+            algorithm = request.algorithm.make(space)
+        except ValueError as error:
+            raise RequestError(str(error)) from None
+        state.is_random = isinstance(algorithm, RandomSearch)
+        self.store.replayed = frozenset(each.path for each in saved)
+        state.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
+        until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
+        try:
+            with runs_end_in(self.bench.refining_end - clock()):
+                state.shown, accepted = self.replays.shown_by(saved)  # Their failures are not new.
+                self.bench.examiner.accepted.update(accepted)
+        except OutOfTime:  # Without all replays, it is unclear which failures are new.
+            return Ending.MAX_TIME
+        watch.begin(until)
+        runs_before = state.runs
+        try:
+            scenarios = scenarios_of(
+                algorithm,
+                self.bench,
+                generations=settings.generations,
+                runs=settings.runs,
+                seed=self.store.seed,
+            )
+            yield from self._events(search(scenarios, state, self.bench, self.store, watch))
+        except FitnessError as error:
+            raise RequestError(str(error)) from None
+        except skips() as error:
+            raise RequestError(no_skip("the fitness", error)) from None
+        lost, runs = clock() - watch.last, state.runs - runs_before
+        is_cut = state.finished is not None and state.finished.reason == "time"
+        if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
+            self.driver_notes.append(
+                f"{Ending.MAX_TIME} stopped a run after {lost:.1f} s, with {plural(runs, 'run')} before it. To find "
+                "out whether a decision hangs, use a longer limit, or a shorter hang_limit of the world"
+            )
+        return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
+
+    def _ending_of(self, reason: EndReason) -> Ending:
+        match reason:
+            case "generations":
+                return Ending.GENERATIONS
+            case "runs":
+                return Ending.RUNS
+            case "time":
+                return Ending.MAX_TIME
+            case "stopped":
+                return Ending.FINDINGS
+
+    def _summary(self, reason: Ending) -> Search:
+        settings, state, counts = self.harness.request.settings, self.state, self.state.counts
+        health = counts.health
+        cut = [f"stopped by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
+        notes = (
+            counts.doubt,
+            state.known_alone,
+            self._unused,
+            self._without_effect,
+            self._left_out,
+            "" if health.hides_most or reason not in WITH_WARNINGS else health.early_ends,
+            self.harness.policy.loading_hint if state.runs else "",
+        )
+        # After an error, the counts show nothing about the ego. If the search stops at a failure, its failure rate is
+        # too high.
+        is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
+        fails = counts.fails if is_told else Counter[str]()
+        others = fails["check"] + fails["otherwise"]
+        random = Counter(runs=fails.total(), at_fault=fails["ego"], otherwise=others, checks=fails["check"])
+        budgets = {"generations": settings.generations, "runs": settings.runs}
+        decisions = {
+            "search": counts.decisions,
+            "confirm": self.bench.confirm_decisions,
+            "shrink": state.shrink_decisions,
+            "moment": state.moment_decisions,
+        }
+        return Search(
+            node_id=self.watch.node_id,
+            reason=reason,
+            algorithm=self.harness.request.algorithm.name,
+            base_seed=settings.seed,
+            seed=self.store.seed,
+            generations=state.generation if state.finished is None else state.finished.generations,
+            asked={name: most for name, most in budgets.items() if most is not None},
+            kinds=Counter({kind: counts.kinds[kind] for kind in KINDS}),
+            outcomes=counts.outcomes,
+            responsibilities=counts.responsibilities,
+            more_runs=Counter(shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused),
+            decisions=Counter(decisions),
+            random=random,
+            no_interaction=health.no_interaction,
+            reached=health.reached_share,
+            finds=tuple(replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()),
+            known=dict(state.covered),
+            failures=tuple((id_, signature) for signature, id_ in state.failures.items()),
+            drawn="" if self.state.space is None else self.state.space.described,
+            against=self.harness.against_name,
+            paired=None if self._worse is None else self._worse.paired,
+            no_worse=self.store.dismissed,
+            warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
+            notes=(*self.driver_notes, *filter(None, notes), *self._worse_notes(), *cut, *self._left_undone(reason)),
+            seconds=state.seconds,
+            process_notes=tuple(self.process_notes),
+        )
+
+    def _worse_notes(self) -> Iterator[str]:
+        for signature, id_ in self.state.finds.items():
+            if signature.worse_than is not None:
+                most, known = self.bench.examiner.accepted[replace(signature, worse_than=None)]
+                yield f"{id_} is worse than saved-{known}, which was accepted for impacts at up to {most:.1f} m/s"
+
+    @property
+    def _without_effect(self) -> str:
+        lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
+        if not self.state.runs:  # without a run, it is unclear whether the environment can be built
+            return ""
+        policy = self.harness.policy
+        given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
+        given.pop(f"write ego_lane={lane!r}", None)  # the test specifies it already
+        told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
+        return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
+
+    @property
+    def _left_out(self) -> str:
+        is_driven = bool(self.state.runs) and not self.harness.policy.drives_itself
+        return left_out_text(self.harness.world) if is_driven else ""
+
+    @property
+    def _unused(self) -> str:
+        # Without an NPC on other paths, the search shows nothing about traffic there.
+        world, unused = self.harness.world, self.harness.world.unused_roads
+        crosses = self.state.space is not None and self.state.space.zones
+        if not unused or not self.state.runs or crosses:
+            return ""
+        verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
+        none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
+        where = getattr(world, "env_id", type(world).__name__)
+        which = f"at {where} all NPCs drive along the ego's path: none {none}"
+        return f"{which}, so the search shows nothing about such traffic"
+
+    def _left_undone(self, reason: Ending) -> Iterator[str]:
+        request, store = self.harness.request, self.store
+        settings = request.settings
+        is_broken_off = reason.is_broken_off
+        firm = [each for each in store.findings.values() if each.is_firm]
+        left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
+        if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_runs != 0:
+            what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
+            first = "delete the new files and " if any(each.path for each in left) else ""
+            again = f"{first}search again with {request.option('seed', settings.seed)}"
+            if is_broken_off:
+                yield f"the search ended before {what} simplified: {again}"
+            else:
+                yield f"{Ending.MAX_TIME} ended the search before {what} simplified: {again} and more time"
+        if self.bench.is_at_limit:
+            more = f"delete the file, and search with {flag('shrink_runs')}=N"
+            yield f"simplifying stopped at its limit; to simplify more, {more}"
+        is_short = settings.runs == RUNS
+        if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
+            yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
+
+
+def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
+    """Return a harness that isolates the policy if a process died in this search before."""
+    # Only forked processes can receive every factory.
+    settings = harness.request.settings
+    if not forks() or settings.isolate or not settings.is_search:
+        return harness
+    if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
+        return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
+    return harness

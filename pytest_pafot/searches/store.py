@@ -1,0 +1,316 @@
+"""The findings of one search and their files."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Generator, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.corpus.layout import SUFFIX, relative
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
+from pytest_pafot.execution.runner import LostRun, expectation
+from pytest_pafot.findings.finding import Expect, Finding, Found, portable, speed_of
+from pytest_pafot.findings.sighting import Observed, Seen
+from pytest_pafot.findings.verdict import PROCESS_CRASH, Signature, Verdict
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searches.bench import Bench
+from pytest_pafot.searches.events import SearchEvent
+from pytest_pafot.searches.harness import Harness, PlainFailure
+from pytest_pafot.searches.results import Counts, Result, State, found_by, lost
+from pytest_pafot.support.errors import CorpusError, flag
+from pytest_pafot.support.process import REPLACED, postponed
+from pytest_pafot.world import codec
+
+# The remark on a finding that there was no time to run again.
+UNCONFIRMED = "not confirmed: out of time"
+
+# The expected result in the file of a scenario in which a process died for an unknown reason.
+UNSEEN_CRASH = Expect(
+    failure=PROCESS_CRASH,
+    outcome=Outcome.ADS_ERROR,  # The ADS is the only code that can kill a process.
+    time=0.0,
+    message="the process ended while it ran this scenario",
+)
+
+
+@dataclass(slots=True, kw_only=True)
+class Store:
+    """The findings of one search, each saved immediately."""
+
+    harness: Harness
+    seed: int
+    # Files that were replayed before the search. They do not show the findings that are saved here.
+    replayed: frozenset[Path] = frozenset()
+    findings: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id
+    only_counts: bool = False  # True if failures are only counted, and not saved as findings
+    first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
+    held: list[str] = field(default_factory=list)  # ids of findings that are saved but not yet reported
+    dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
+    # Failures that arrived before their turn: the file, if any, the result, and the number of the run.
+    early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
+    is_holding: bool = True  # False once findings are reported immediately, because they are no fault of the set-up
+
+    @property
+    def count(self) -> int:
+        return len(self.findings) - len(self.held)
+
+    @property
+    def firm(self) -> int:
+        """The number of findings that can be shrunk."""
+        return sum(each.is_firm for each in self.findings.values())
+
+    def add(self, result: Result, generation: int) -> Seen | str:
+        """Save a new finding without reporting it, or return only its id if failures are only counted."""
+        failed = result.failed
+        assert failed is not None  # noqa: S101  (the failure is new)
+        finding = failed.found_in(generation)
+        self._forget_early(finding, failed.signature)
+        if self.only_counts:
+            return finding.id
+        with postponed():  # An interrupt must not separate saving a finding from noting that it is held back.
+            verdict = Verdict(kind="failed", exception=PlainFailure(failed.text), severity=result.severity)
+            return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
+
+    def confirmed(self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None) -> Seen:
+        """Update a finding with the results of :meth:`.Bench.confirm`, and return it."""
+        if differs:
+            sighting = self.call_flaky(sighting, differs)
+        elif differs is None:
+            sighting = replace(sighting, unshrunk=UNCONFIRMED)
+        if run is not None and verdict is not None:
+            observed = replace(sighting.observed, run=run, verdict=verdict)
+            sighting = replace(sighting, observed=observed)
+        self.findings[sighting.id] = sighting
+        return sighting
+
+    def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
+        """Save a new failure before its turn, so that it is not lost if the session is killed."""
+        failed, saved = result.failed, None
+        if failed is None or failed.signature in known or failed.signature in self.early:
+            return
+        finding = failed.found_in(number)
+        with postponed():  # An interrupt must not leave a file that no report mentions.
+            if self.harness.request.settings.save != "none":
+                path, finding = free_path(self.harness.folder, finding, self.replayed)
+                with suppress(CorpusWriteError):  # The error is reported in its turn.
+                    saved = path if write(path, finding) else None
+            self.early[failed.signature] = saved, result, number
+
+    def _forget_early(self, finding: Finding, signature: Signature) -> None:
+        # Remove the file of an early failure if the same failure came before it in another run.
+        path, *_ = self.early.pop(signature, (None,))
+        if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
+            _remove_early(path)
+
+    def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
+        """Turn early failures into findings and yield their signatures, ids and counts, or remove their files."""
+        for signature, (path, result, number) in [*self.early.items()]:
+            if keeps:
+                sighting = self.add(result, number)
+                id_ = sighting if isinstance(sighting, str) else sighting.id
+                if not isinstance(sighting, str):
+                    self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
+                counts = Counts.of(result, number)
+                counts.fails.clear()  # passing runs before it are not counted, so the failure rate would be too high
+                yield signature, id_, counts
+            elif path is not None:
+                _remove_early(path)
+        self.early.clear()
+
+    def release(self) -> Iterator[Seen]:
+        """Yield the findings that were held back. Later findings are reported immediately."""
+        self.is_holding = False
+        for find_id in tuple(self.held):
+            yield from self.publish(self.findings[find_id])
+
+    def withdraw(self) -> Iterator[Seen]:
+        """Remove the findings that were held back, and yield those with a file that cannot be removed."""
+        deque(self.settle(keeps=False), maxlen=0)
+        withdrawn = [self.findings.pop(find_id) for find_id in self.held]
+        self.held.clear()
+        self.is_holding = False
+        for sighting in withdrawn:
+            try:
+                if sighting.path:
+                    self.file_of(sighting).unlink(missing_ok=True)
+            except OSError:
+                yield from self.publish(sighting)
+        if not any(each.path for each in withdrawn):
+            return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
+        with suppress(OSError):  # Folders with other content stay.
+            self._remove_folders()
+
+    def dismiss(self, sighting: Seen, why: str) -> Iterator[Seen]:
+        """Remove the file of a finding that does not count, and report it."""
+        no_worse = replace(sighting.observed, new="no worse")
+        sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
+        if sighting.path:
+            with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
+                self.file_of(sighting).unlink(missing_ok=True)
+                sighting = replace(sighting, path="")
+            with suppress(OSError):  # Folders with other content stay.
+                self._remove_folders()
+        with postponed():
+            del self.findings[sighting.id]
+            self.dismissed[sighting.id] = sighting.headline
+            self.first_exception = next((each.raised for each in self.findings.values()), None)
+            yield sighting
+
+    def _remove_folders(self) -> None:
+        for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
+            folder.rmdir()
+
+    def publish(self, sighting: Seen) -> Iterator[Seen]:
+        """Yield a new or updated finding, which is reported once the next event is requested."""
+        with postponed():
+            self.findings[sighting.id] = sighting
+            if self.first_exception is None or sighting.id == next(iter(self.findings)):
+                self.first_exception = sighting.raised
+            yield sighting
+            if sighting.id in self.held:
+                self.held.remove(sighting.id)
+
+    def call_flaky(self, sighting: Seen, difference: str) -> Seen:
+        """Mark a finding as flaky, here and in its file, with the ``difference`` between its runs."""
+        flaky = portable(difference, str(self.harness.root))
+        marked = replace(sighting, finding=replace(sighting.finding, flaky=flaky), unshrunk="")
+        self.findings[sighting.id] = self.rewritten(marked)
+        return self.findings[sighting.id]
+
+    @REPLACED.shown(False)
+    def rewritten(self, sighting: Seen) -> Seen:
+        """Write a changed finding to its file, and return it."""
+        if not sighting.path:
+            return sighting
+        try:
+            return replace(sighting, finding=rewrite(self.file_of(sighting), sighting.finding))
+        except CorpusWriteError as error:
+            return replace(sighting, detail=f"could not be updated: {error}")
+
+    def note_worst(self, state: State) -> Iterator[Seen]:
+        """Save the highest closing speed of runs with the same failure, and yield the changed findings."""
+        for sighting in [*self.findings.values()]:
+            found, worst = sighting.finding.found, speed_of(state.alike(sighting.id).severity)
+            if worst is not None and worst > (found.worst_closing_speed or 0.0):
+                noted = replace(sighting.finding, found=replace(found, worst_closing_speed=worst))
+                yield from self.publish(self.rewritten(replace(sighting, finding=noted)))
+
+    def file_of(self, sighting: Seen) -> Path:
+        return self.harness.folder / f"{sighting.id}{SUFFIX}"
+
+    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Seen:
+        """Save a scenario in which a process of an earlier session died. ``again`` is the end of a second one."""
+        text = f"a process (pid {leftover.pid}) died while it ran this scenario"
+        if again is None:
+            text += (
+                ". Possible causes are a crash of native code, something that accumulates from run to run, such as "
+                "memory, and a kill from outside. If it was killed from outside, delete the file"
+            )
+        else:
+            text += f", and the process that ran it again {again.end}: {cause(again, 'delete the file')}"
+        expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
+        if again is not None:
+            expect, line = expectation(again), _headline(again)
+        finding = self._death(scenario, expect, found_by(self.harness, self.seed, algorithm="crash"), leftover.world)
+        with postponed():
+            return self._held(self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text))))
+
+    def add_lost(self, lost: LostRun, generation: int) -> Seen:
+        """Save a scenario in which a process of this search died or hung."""
+        again = "" if lost.is_hang else ", even when it was repeated"
+        text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
+        text += cause(lost, f"delete the file, and use {flag('workers', 1)}")
+        finding = self._death(lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None)
+        self._forget_early(finding, finding.signature)
+        with postponed():
+            died = Verdict(kind="failed", exception=PlainFailure(text))
+            return self._held(self._saved(finding, _headline(lost), died))
+
+    def _held(self, sighting: Seen) -> Seen:
+        self.findings[sighting.id] = sighting
+        self.held.append(sighting.id)
+        return sighting
+
+    def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
+        return Finding(
+            id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
+            test=self.harness.node_id,
+            scenario=scenario,
+            world=world or codec.described(self.harness.world),
+            expect=expect,
+            found=found,
+            perception=self.harness.policy.sight,
+        )
+
+    @REPLACED.shown(False)  # restores functions that the test function has replaced
+    def _saved(self, finding: Finding, line: str, verdict: Verdict, *, has_drawn: bool = False) -> Seen:
+        path, finding = free_path(self.harness.folder, finding, self.replayed)
+        while finding.id in self.findings:
+            finding = replace(finding, id=f"{finding.id}-again")
+            path = self.harness.folder / f"{finding.id}{SUFFIX}"
+        problem = ""
+        try:
+            if self.harness.request.settings.save == "none":
+                problem = flag("save", "none")
+            # Between the check and the write, another session may use the name for its own finding.
+            while not problem and not write(path, finding):
+                other, renamed = free_path(self.harness.folder, finding, self.replayed)
+                if other == path:
+                    break
+                path, finding = other, renamed
+        except CorpusWriteError as error:
+            problem = str(error)
+        return Seen(
+            finding=finding,
+            node_id=self.harness.saved_node_id(finding.id),
+            headline=line,
+            path="" if problem else relative(path, self.harness.root),
+            detail=problem,
+            observed=Observed(new="new", fails=True, verdict=verdict, severity=verdict.severity, has_drawn=has_drawn),
+        )
+
+
+def _remove_early(path: Path) -> None:
+    # The file stays if someone has accepted its failure or put another file there.
+    with suppress(OSError, CorpusError):
+        if load(path).xfail is None:
+            path.unlink()
+
+
+def _headline(lost: LostRun) -> str:
+    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.end}"
+
+
+def cause(lost: LostRun, way_out: str) -> str:
+    """Return why a process may have died or hung, and the ``way_out``."""
+    if lost.end == OUT_OF_MEMORY:
+        return "the ADS uses more and more memory, or needs more than its limit"
+    if lost.end == WORLD_HANGS:
+        return f"the world hangs, or it is too slow (then set a longer hang_limit and {way_out})"
+    if not lost.is_hang:
+        return "the likely cause is a crash of native code, an exit, or a lack of memory"
+    return (
+        "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
+        f"does not work in a forked process (then {way_out})"
+    )
+
+
+def lose(death: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, Result]:
+    """Record a scenario in which a process was lost, and return its result. It is not run again."""
+    # It is no failure if the reference does not pass the scenario either.
+    state.fatal.add(death.task)
+    result = lost(death.task, death, is_common=bench.is_common(death.task))
+    signature = result.evaluation.kind
+    if isinstance(signature, Signature) and signature not in state.known:
+        sighting = store.add_lost(death, state.generation)
+        yield from store.publish(sighting)
+        state.finds[signature] = sighting.id
+    return result

@@ -1,1 +1,0 @@
-"""The search algorithms and the catalogue of their names."""
