@@ -1,6 +1,6 @@
 """Search for traffic that makes a driving policy crash, as a pytest plugin.
 
-All public names can be imported from this package. Their modules are loaded when the names are first used (PEP 562).
+All public names can be imported from this package, which loads their modules on first use (PEP 562).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The commands of ``python -m pytest_pafot``.
 
-If the exit code is a verdict on a policy, the command runs in a child process. A policy may end that process with the
-exit code 0, so the child leaves a receipt at the end.
+A command whose exit code is a verdict on a policy runs in a child process. The policy could end that process with the
+exit code 0, so the child leaves a receipt when the command finishes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pytest_pafot.support.process import ended_with, leave_receipt, taken_receip
 
 
 class Command(NamedTuple):
-    """A command of ``python -m pytest_pafot``, with a module that has ``add_arguments`` and ``run``."""
+    """A command of ``python -m pytest_pafot``, with a module that defines ``add_arguments`` and ``run``."""
 
     module: str
     help: str
@@ -87,7 +87,7 @@ DRIVES = "PYTEST_PAFOT_DRIVES"
 
 
 def main_in_child(arguments: list[str]) -> int:
-    """Run a command, in a child process if it is one of :data:`GATES`, and return its exit code."""
+    """Run a command and return its exit code. Commands in :data:`GATES` run in a child process."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # it is closed, for example by `>&-`
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
@@ -169,7 +169,7 @@ def _has_terminal() -> bool:
 def main(arguments: list[str] | None = None) -> int:
     """Run a command in this process, and return its exit code.
 
-    ``arguments`` are by default those of this process, without the program's name.
+    ``arguments`` defaults to ``sys.argv[1:]``.
     """
     from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 

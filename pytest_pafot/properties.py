@@ -1,4 +1,4 @@
-"""Built-in properties: common requirements for a driving policy. Each is one call in a test function.
+"""Built-in properties: common requirements for a driving policy, as functions to call in a test.
 
 For example::
 
@@ -6,8 +6,8 @@ For example::
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each property except :func:`no_fault` is a check with a name and a margin. If a property does not apply
-to a run, it makes no check. *Second hand* marks sources read only in quotations. Other numbers are choices.
+Each property except :func:`no_fault` is a check with a name and a margin. A property that does not apply to a run
+records no check. *Second hand* marks sources read only in quotations. Numbers without a source are our choices.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NEAR = 10.0
 def no_fault(run: Run) -> None:
     """Assert that the ego is not responsible for a collision, neither alone nor together with an NPC.
 
-    The rules of docs/explanation/verdicts.md decide, without a margin.
+    The rules in docs/explanation/verdicts.md decide who is responsible. There is no margin.
     """
     is_free = run.responsibility not in ("ego", "both")
     require(is_free, "run.responsibility not in ('ego', 'both')", run.explain)
@@ -40,11 +40,12 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and alongside.
 
-    The value is the gap minus the safe distance [m] for the worst NPC. It must be at least 0. NPCs behind the ego do
+    The value is the gap to the worst NPC minus the safe distance [m]. It must be at least 0. NPCs behind the ego do
     not count. Crossing NPCs count while they are on the ego's path.
 
-    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default, two seconds are enough behind a
-    leader with the same speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default, a gap of two seconds is enough
+    behind a leader at the same speed, up to 48 m/s (our choice). ``pytest_pafot.criticality.RssRules()`` has Intel's
+    parameters.
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}")
@@ -72,8 +73,8 @@ def comfort(
     Four moving averages are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and the
     lateral acceleration [m/s^2] and lateral jerk [m/s^3] over 0.5 s. None disables a limit.
 
-    Sources: ISO 15622:2018 above 20 m/s (second hand), which limits the jerk only while braking; for the lateral
-    limits, UN R79, 5.6.2.1.3 (second hand), in which only the jerk is an average.
+    Sources: ISO 15622:2018, above 20 m/s, and for the lateral limits UN R79, 5.6.2.1.3 (both second hand). ISO 15622
+    limits the jerk only while braking. In UN R79, only the lateral jerk is an average.
     """
     asked = {
         "jerk": jerk,
@@ -98,14 +99,14 @@ def comfort(
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    On curved roads, the value on a lane is half the lane width.
+    On curved roads, the value is half the lane width whenever the ego is on a lane.
     """
     check(run.trace.road.to_edge(), name="road edge", at_least=0.0, unit="m")
 
 
 def _refuse_odd(name: str, **given: object) -> None:
     for each, value in given.items():  # finite numbers of at least 0
-        checked_number(value, name, f"{each}= to be a finite number, at least 0", least=0.0)
+        checked_number(value, name, f"{each}= to be a finite number of at least 0", least=0.0)
 
 
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:

@@ -51,12 +51,12 @@ def chromosomes(
 ) -> SearchStrategy[Chromosome]:
     """Return a strategy for the chain of one NPC.
 
-    Each cell is the previous one or next to it on the ring.
+    Each cell equals the previous cell or is next to it on the ring.
 
     Args:
         cells: cells that the chain may visit.
-        min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the number of genes.
+        min_speed, max_speed: bounds on the target speeds [m/s].
+        min_genes, max_genes: bounds on the number of genes.
         instructions: ``"cells"`` for Position-Instructions, ``"lanes"`` for Lane-Instructions, ``"both"`` for either
             kind.
 
@@ -94,9 +94,9 @@ def scenarios(
 
     Args:
         cells: cells that chains of Position-Instructions may visit.
-        min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the number of genes; all chains of Position-Instructions have the same length.
-        min_npcs, max_npcs: bounds of the number of NPCs, from 1 to 8.
+        min_speed, max_speed: bounds on the target speeds [m/s].
+        min_genes, max_genes: bounds on the number of genes; all chains of Position-Instructions have the same length.
+        min_npcs, max_npcs: bounds on the number of NPCs, from 1 to 8.
         lanes: number of lanes of the road.
         ego_lane: initial lane of the ego, 0 at the left; None for a random one.
         ego_speed: initial speed of all vehicles [m/s].
@@ -124,7 +124,7 @@ def scenarios(
     usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
     if not usable:
         raise ValueError(
-            f"max_npcs: expected at most one NPC for each cell on the road, received {max_npcs} NPCs with the cells "
+            f"max_npcs: expected at most one NPC for each cell on the road, received {max_npcs} NPCs for the cells "
             f"{[int(cell) for cell in allowed]} on {lanes} lanes. Use fewer NPCs, more cells or more lanes"
         )
 

@@ -225,7 +225,9 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
         script.send_signal(getattr(signal, name))
         rest, _ = script.communicate(timeout=60)  # It also waits for pytest, which has the same output.
     assert script.returncode == 128 + getattr(signal, name), rest
-    assert re.search(r" It ended early, after \d+ of \d+ runs: interrupted\.", " ".join(rest.split())), rest
+    assert re.search(r" It ended early, after \d+ of \d+ runs, because it was interrupted\.", " ".join(rest.split())), (
+        rest
+    )
     assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
 
 

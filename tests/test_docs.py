@@ -312,14 +312,14 @@ SAMPLE = """
 $ pytest -q
 ...
 E  after 6.3 s in cell 2, took 0.030 s
-  It took 1.0 s: 20 runs
+  It took 1.0 s for 20 runs
 ...
 saved as front-d175c6
 1 failed in 0.43s
 ```
 """
 PRINTED = (
-    "F\nE   after 6.3 s in cell 2, took 0.125 s\n\nIt took 12.5 s: 20 runs, 9 more\nsaved as front-d175c6\n"
+    "F\nE   after 6.3 s in cell 2, took 0.125 s\n\nIt took 12.5 s for 20 runs, 9 more\nsaved as front-d175c6\n"
     "1 failed in 7.1s\n"
 )
 

@@ -71,7 +71,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "world": '[World](worlds.md), such as `pafot.Highway(...)`, or a string such as `"module:factory"`.',
     "blame": 'Failures that count. `"ego"` excludes collisions for which only an NPC is '
     "[responsible](../explanation/verdicts.md).",
-    "against": "[Reference policy](../guide/ci.md). Only failures that the reference avoids count.",
+    "against": "[Reference policy](../guide/ci.md). Only failures that this policy avoids count.",
     "isolate": "If true, the policy runs in [separate processes](../guide/planners.md). A crash of such a process is a "
     "finding.",
     "traffic": '[Driving style of the NPCs](scenarios.md#traffic-styles): `"hostile"`, `"assertive"`, `"everyday"` or '
@@ -84,15 +84,15 @@ MARKER_TEXTS: Mapping[str, str] = {
     "genes": "Number of instructions of each NPC that does not cross the ego's path.",
     "gene_seconds": "Duration of one instruction [s].",
     "ego_lane": "Lane in which the ego starts, counted from 0 at the left.",
-    "ego_speed": "Speed [m/s] at which the ego and all NPCs that do not cross its path start.",
+    "ego_speed": "Initial speed [m/s] of the ego and of all NPCs that do not cross its path.",
     "runs": "[Number of runs](options.md#pafot-runs), at least 1.",
     "generations": "[Number of generations](options.md#pafot-generations), at least 1. Only some algorithms have "
     "generations.",
     "seed": "[Base seed](options.md#pafot-seed) from which the seed of the search is derived.",
     "algorithm": "[Search algorithm](options.md#pafot-algorithm): a name, or [a class of your "
     "own](../guide/algorithms.md).",
-    "fitness": "[Fitness](checks.md#fitness) that an algorithm maximises. The default algorithm does not use it.",
-    "shrink_runs": "[Maximum number of runs](options.md#pafot-shrink-runs) to simplify one finding.",
+    "fitness": "[Fitness](checks.md#fitness) that the algorithm maximises. The default algorithm does not use it.",
+    "shrink_runs": "[Maximum number of runs](options.md#pafot-shrink-runs) for simplifying one finding.",
 }
 """The meanings of the arguments of the mark."""
 
@@ -102,9 +102,9 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "genes": "as many as fit into the run",
     "npcs": "[sampled](#values-that-you-do-not-set)",
     "gene_seconds": "sampled",
-    "traffic": '`"hostile"`; `"paper"` with the algorithms of the paper',
-    "instructions": '`"both"`; `"cells"` with the algorithms of the paper',
-    "vehicles": "all types that fit the road; only cars with a different `algorithm`",
+    "traffic": '`"hostile"`; `"paper"` with algorithms from the paper',
+    "instructions": '`"both"`; `"cells"` with algorithms from the paper',
+    "vehicles": "all types that fit the road; only cars with an `algorithm` other than `random`",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "algorithm": '`"random"`',
@@ -146,7 +146,7 @@ FINDING_KEYS = ("id", "test", "status", "result", "file", "replay", "headline", 
 """The keys of --pafot-json that most programs need. The Python API has all."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format: `3`.",
+    "pafot": "Version of the file format, `3`.",
     "scenario.seed": "Seed of all random choices in the run.",
     "scenario.ego": "Start of the ego: its `lane`, counted from 0 at the left, and its `speed` [m/s]. NPCs that do not "
     "cross the ego's path start at the same speed.",
@@ -157,13 +157,13 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.npcs": "[Instructions](scenarios.md) of each NPC: `{cell, speed}`, `{lane, speed}` or, only once, "
     "`{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.failure": "Class of the exception, or `ProcessCrash` if the process died or hung.",
-    "expect.assertion": "Failing assertion, with `N` instead of each number, or name of the failed check. For "
+    "expect.assertion": "Failing assertion, in which `N` replaces each number, or name of the failed check. For "
     "other exceptions, the failing statement or the first line of the message.",
     "expect.check": "Values of a failed check: `value`, `at_most`, `at_least` and `unit`.",
     "expect.message": "First line of the message, unless `assertion` contains it.",
     "expect.outcome": "[How the run ended](run.md#how-a-run-ends).",
     "expect.time": "Time of the failed check or, without a check, of the most important event [s].",
-    "expect.npc, expect.cell": "NPC of the collision and its cell. Without a collision, the NPC with the smallest time "
+    "expect.npc, expect.cell": "NPC in the collision and its cell. Without a collision, the NPC with the smallest time "
     "to contact. For a failed check, the NPC that the check names.",
     "expect.zone": "Zone in which the NPC crossed the ego's path, such as `crossing from the left`.",
     "expect.side, expect.closing_speed": "Side of the ego that was hit, and closing speed [m/s].",

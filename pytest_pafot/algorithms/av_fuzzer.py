@@ -57,7 +57,7 @@ class AvFuzzerState:
 
 @dataclass(frozen=True, slots=True)
 class AvFuzzerSearch:
-    """The search of AV-Fuzzer, with the default values of its released code."""
+    """AV-Fuzzer's search, with the default values from its released code."""
 
     # There are these differences to the released code. The five slices fill the scenario (12 s each in 60 s; the
     # released code has 3 s). Two NPCs start two seconds ahead at the ego's speed, have hard limits and give way to each
@@ -204,13 +204,13 @@ class AvFuzzerSearch:
 
 
 def swap_npc(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
-    """Swap two NPCs of the same random index."""
+    """Swap the NPCs with the same random index in two scenarios."""
     npc = int(rng.integers(len(a.npcs)))
     return _replace_chain(a, npc, b.npcs[npc]), _replace_chain(b, npc, a.npcs[npc])
 
 
 def mutate_manoeuvre(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Give a random manoeuvre of a random NPC a new speed, a new action or no change."""
+    """Give one random manoeuvre of a random NPC a new speed or a new action, or leave it unchanged."""
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
     index = int(rng.integers(len(chain)))
@@ -230,7 +230,7 @@ def _replace_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario:
 
 
 def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
-    """Sample a population of the same size with replacement, in proportion to fitness."""
+    """Sample a population of the same size with replacement, with probabilities proportional to fitness."""
     # If a fitness is negative, all are raised until the lowest is 0. Runs that are not eligible, such as collisions
     # between NPCs, are selected only if all other runs have the same negative fitness, or if there are no others.
     fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
@@ -245,7 +245,7 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
     """Return the ``count`` candidates with the greatest mean distance to earlier scenarios.
 
-    ``checkpoints`` are :func:`features` of shape [scenarios, NPCs, slices, 2].
+    ``checkpoints`` contains their :func:`features`, as an array of shape [scenarios, NPCs, slices, 2].
     """
     of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))  # stores each number for all scenarios in a row
     checkpoints = np.moveaxis(of_all, -1, 0)
@@ -254,7 +254,7 @@ def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int
 
 
 def features(scenario: Scenario) -> FloatArray:
-    """Return the numbers by which AV-Fuzzer compares scenarios, shape [NPCs, slices, 2]."""
+    """Return the numbers by which AV-Fuzzer compares scenarios, as an array of shape [NPCs, slices, 2]."""
     rows = [
         # Per slice: the speed, and -34 for a change to the left or 34 for a change to the right. Both are summed up
         # below.

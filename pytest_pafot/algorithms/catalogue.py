@@ -1,4 +1,4 @@
-"""The built-in search algorithms by name, and the checks of other algorithms."""
+"""The built-in search algorithms by name, and checks of users' algorithms."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pytest_pafot.algorithms.plan import Algorithm, GenerationalSearch, Generati
 from pytest_pafot.algorithms.space import LANE_SHARES, SearchSpace, sample, sample_manoeuvres
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.support.references import referred_to
-from pytest_pafot.support.text import meant
+from pytest_pafot.support.text import listed, meant
 
 
 @dataclass(frozen=True, slots=True)
 class RandomSearch:
     """The default search, which samples valid scenarios at random.
 
-    Scenario n depends only on the seed and on n, so any process can sample it.
+    Scenario n depends only on n and the seed, so any process can sample it.
     """
 
     name: ClassVar[str] = "random"
@@ -32,7 +32,7 @@ class RandomSearch:
     space: SearchSpace = field(default_factory=SearchSpace)
 
     def drawn(self, seed: int, number: int) -> Scenario:
-        """Return scenario ``number`` of a seed, counted from 0."""
+        """Return scenario ``number``, counted from 0, for a seed."""
         return sample(self.space, rng_of(seed, number, 0))
 
 
@@ -41,7 +41,7 @@ class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
     """A search that samples random manoeuvres, one per time slice, as in AV-Fuzzer.
 
     Attributes:
-        slices: number of manoeuvres of each NPC. Together, they last as long as the genes of the space.
+        slices: number of manoeuvres per NPC. Together, they last as long as the genes in the space.
     """
 
     # The random search of the paper manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2).
@@ -71,7 +71,7 @@ ALGORITHMS = tuple(CLASSES)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlgorithmClass:
-    """The class of a search algorithm, with its class attributes or their defaults."""
+    """A search algorithm's class, with its class attributes or their defaults."""
 
     made_by: Callable[..., Any]  # the class
     name: str  # the name in files and reports; a class must define it
@@ -92,7 +92,7 @@ class AlgorithmClass:
 
 
 def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
-    """Return the algorithm for a name, a string ``module:Class``, or a class.
+    """Return the algorithm for a built-in name, a string ``module:Class``, or a class.
 
     Raises:
         ValueError: for anything else.
@@ -118,8 +118,8 @@ def _named(given: str) -> Any:
 def _check_class(given: Any) -> None:
     if not isinstance(given, type):
         raise ValueError(
-            f"algorithm: expected one of {', '.join(ALGORITHMS)}, a class, or module:Class, but received {given!r}. "
-            "Pass the class itself, not an instance. The search calls it with the space."
+            f"algorithm: expected one of {', '.join(ALGORITHMS)}, a class or module:Class, but received {given!r:.100}."
+            " Pass the class itself, not an instance. The search calls the class with the space."
         )
     name = getattr(given, "name", None)
     if given is RandomSearch:
@@ -129,12 +129,12 @@ def _check_class(given: Any) -> None:
     missing += [] if isinstance(name, str) else ["name"]
     if missing:
         raise ValueError(
-            f"algorithm: expected a class with name, start, ask and tell, but {given.__name__} has no "
-            f"{', '.join(missing)}. Derive it from pytest_pafot.algorithms.GenerationalSearch, or implement "
+            f"algorithm: expected a class with name, start, ask and tell, but {given.__name__} does not define "
+            f"{listed(missing)}. Derive it from pytest_pafot.algorithms.GenerationalSearch, or implement "
             "pytest_pafot.algorithms.Algorithm."
         )
     if name in ALGORITHMS and _named(str(name)) is not given:
         raise ValueError(
-            f"algorithm: expected a unique name for {given.__name__}, but received {name!r}, the name of a built-in "
-            f"algorithm in files and reports. Change the class attribute `name` of {given.__name__}."
+            f"algorithm: expected a unique name for {given.__name__}, but received {name!r}, which files and "
+            f"reports use for a built-in algorithm. Change the class attribute `name` of {given.__name__}."
         )

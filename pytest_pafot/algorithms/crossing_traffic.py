@@ -63,7 +63,7 @@ class CrossingTraffic:
         )
 
     def vary(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
-        """Change the slot, speed or act, or sample a new instruction, which may not fit its path."""
+        """Change the slot, speed or act, or sample a new instruction. The result may not fit its path."""
         share = rng.random()
         if share < SLOT_CHANGE:
             step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
@@ -79,18 +79,18 @@ class CrossingTraffic:
     def first_with_room(
         self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
     ) -> CrossingInstruction | None:
-        """Return the first of 30 proposals that fits, see :meth:`has_room`, or None."""
+        """Return the first of 30 proposals for which :meth:`has_room` is True, or None."""
         proposals = (propose() for _ in range(ATTEMPTS))
         return next((each for each in proposals if self.has_room(each, others)), None)
 
     def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
-        """Return whether an instruction fits its path and conflicts with no other one."""
+        """Return whether an instruction fits its path and does not conflict with ``others``."""
         return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
 
     def without_conflicts(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
         """Return the chains after resolving conflicts between crossing NPCs.
 
-        NPCs that fit nowhere are omitted. No random number is used if there is no conflict.
+        NPCs that fit nowhere are omitted. If there is no conflict, no random number is used.
         """
         return tuple(chain for _, chain in self.numbered_without_conflicts(npcs, rng))
 
@@ -127,7 +127,7 @@ class CrossingTraffic:
         return another
 
     def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds of NPCs that can arrive together with the ego [m/s]."""
+        """Return the target speeds [m/s] of NPCs that can arrive together with the ego."""
         low, high = self._bounds(zone)
         speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
         return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
@@ -137,7 +137,7 @@ class CrossingTraffic:
         return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
 
     def _bounds(self, zone: str) -> tuple[int, int]:
-        """Return the limits of the target speed on a path, in steps of 0.1 m/s."""
+        """Return the limits on the target speed on a path, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
         # The fastest section before the exit of the zone limits the target speed.
         allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())

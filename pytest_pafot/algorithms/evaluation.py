@@ -1,4 +1,4 @@
-"""The evaluations of runs and their order, and the events and the health of a search."""
+"""Evaluations of runs and their ranking, and the events and health of a search."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BARELY_MOVING = 2.0
 # A vehicle is close to the ego if the two would touch within this time at constant speeds and headings [s].
 CLOSE = 2.0
 
-LEAVING = {Outcome.OFF_ROAD: "the ego's leaving the road", Outcome.LEFT_ROUTE: "the ego's leaving its route"}
+LEAVING = {Outcome.OFF_ROAD: "the ego's exit from the road", Outcome.LEFT_ROUTE: "the ego's exit from its route"}
 
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
@@ -48,16 +48,16 @@ class Evaluation:
         outcome: how the run ended.
         duration: simulated time [s].
         genes_started: number of genes that started before the end, over all NPCs.
-        genes_reached: number of these genes whose cell or lane the NPC reached.
+        genes_reached: number of these genes for which the NPC reached the cell or lane.
         interaction: see :func:`has_interaction`.
         discarded: whether the test function rejected or skipped the run, or the process ended.
         barely_moved: whether the ego's mean speed was below 2 m/s.
-        kind: kind of the failure, equal for failures that count as the same; None if unknown.
+        kind: kind of failure, equal for failures that count as the same; None if unknown.
         margins: name and worst margin of each check, sorted.
-        collision: collision of the run; None without one.
+        collision: collision in the run; None without one.
         ended: see :func:`ended_by`.
-        gap: smallest gap to a vehicle if the run ended early [m], otherwise infinite.
-        is_close: whether a vehicle was within two seconds of the ego at an early end.
+        gap: smallest gap to a vehicle [m] if the run ended early, otherwise infinite.
+        is_close: whether a vehicle was within two seconds of the ego when the run ended early.
         note: data that the evaluating function adds.
     """
 
@@ -127,7 +127,7 @@ class Evaluation:
 
     @property
     def rank(self) -> Rank:
-        """The key that orders runs in a search: failing runs outrank all others, then the fitness decides."""
+        """The key that orders runs in a search: failing runs outrank all others, then fitness decides."""
         # Other runs are equal and last, even if they fail: an invalid run shows nothing about the ego, and NaN cannot
         # be compared.
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
@@ -166,7 +166,7 @@ def has_interaction(trace: Trace) -> bool:
 
 
 def ended_by(trace: Trace) -> str:
-    """Return what ended a run early, without a collision, or an empty string."""
+    """Return the cause if a run ended early without a collision, otherwise an empty string."""
     # If highway-env itself ends a run, as in its merges and intersections, the road ends there.
     is_own = not trace.ended.startswith("highway_env.")
     is_cut = trace.outcome in LEAVING and (trace.ended or trace.off_road_tick in (None, trace.ticks))
@@ -185,7 +185,7 @@ EVALUATIONS = 10_000  # The largest number of remembered runs. They take 25 MB w
 
 
 class EvaluationCache:
-    """A cache of evaluations, by everything on which their runs depended.
+    """A cache of evaluations. Its keys contain everything on which the runs depended.
 
     Args:
         evaluations: evaluations that are known from the start.
@@ -201,7 +201,7 @@ class EvaluationCache:
             self.add(evaluation)
 
     def add(self, evaluation: Evaluation) -> None:
-        """Remember a run. If several runs have the same key, the first one is kept."""
+        """Add a run to the cache. If several runs have the same key, the first one is kept."""
         if evaluation.depth not in self._depths:
             self._depths = sorted([*self._depths, evaluation.depth])
         own = [(key, need) for key, need in self._places(evaluation) if need not in self._evaluations.get(key, {})]
@@ -210,7 +210,7 @@ class EvaluationCache:
         self._runs.append(own)
 
     def _places(self, evaluation: Evaluation) -> list[_Place]:
-        """Return the keys of a run: its executed and its requested chains."""
+        """Return a run's keys, made from its executed and its requested chains."""
         depth = evaluation.depth
         asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
@@ -220,7 +220,7 @@ class EvaluationCache:
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
     def forget(self, room: int = EVALUATIONS) -> None:
-        """Forget the oldest runs until at most ``room`` runs are left."""
+        """Remove the oldest runs until at most ``room`` are left."""
         while len(self._runs) > room:
             for key, needed in self._runs.popleft():
                 del self._evaluations[key][needed]
@@ -252,7 +252,7 @@ class EvaluationCache:
 
 
 def plain_chains(scenario: Scenario) -> Chains:
-    """Return the chains with a number for each gene, which is fast to compare."""
+    """Return the chains with a number in place of each gene, for fast comparison."""
     return tuple([tuple([gene.code for gene in chain]) for chain in scenario.npcs])
 
 
@@ -289,7 +289,7 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """The end of a generation, complete or cut short by the limit of runs."""
+    """The end of a generation, which is complete or was cut short by the run limit."""
 
     generation: int
     local_generation: int
@@ -359,7 +359,7 @@ MOST_CLOSE = 0.1  # fraction of the runs that may end early with a vehicle close
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """Counts of the evaluations of a search, from which its warnings follow."""
+    """Counts from a search's evaluations, on which its warnings are based."""
 
     evaluated: int = 0  # scenarios that the algorithm requested
     simulated: int = 0  # of these, the scenarios that were run; all other counts are of their runs
@@ -379,7 +379,7 @@ class Health:
 
     @classmethod
     def of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
-        """Return the counts of simulated ``runs``, with the number of all evaluated scenarios."""
+        """Compute the counts from the simulated ``runs`` and the number of all ``evaluated`` scenarios."""
         invalid = [each for each in runs if each.outcome is Outcome.INVALID]
         # The algorithm learns nothing from a run that ended its process, but such a run is an error of the ADS.
         valid = [
@@ -412,12 +412,12 @@ class Health:
 
     @property
     def reused(self) -> int:
-        """The number of scenarios with a result from an earlier run."""
+        """The number of scenarios that reused the result of an earlier run."""
         return self.evaluated - self.simulated
 
     @property
     def vacuous(self) -> bool:
-        """True if most runs were invalid or ended within the first second, or the user's code made many invalid."""
+        """True if most runs were invalid or ended in the first second, or if the user's code made many runs invalid."""
         is_empty = 2 * (self.valid - self.at_once) < self.simulated or not self.simulated
         return is_empty or self._is_at_fault
 
@@ -428,7 +428,7 @@ class Health:
 
     @property
     def reached_share(self) -> float | None:
-        """The fraction of started genes whose target was reached, or None if none was started."""
+        """The fraction of started genes whose target was reached, or None if no gene started."""
         return self.genes_reached / self.genes_started if self.genes_started else None
 
     @property
@@ -440,18 +440,18 @@ class Health:
             return ""
         (most, _), *others = first = self.ended.most_common(3)
         enders = " and ".join(f"{name} ({number})" for name, number in first) if others else most
-        advice = 'Correct what ended them, or let them continue with ends="duration" in a pafot.World.'
+        advice = 'Correct the cause, or let the runs continue with ends="duration" in a pafot.World.'
         if most in LEAVING.values():
-            advice = "Check the units and axes of the world, and of the actions of the ADS."
+            advice = "Check the units and axes of the world and of the ADS's actions."
         return (
-            f"{_percent(runs, self.simulated)} runs ended early without a collision, because of {enders}. "
+            f"{_percent(runs, self.simulated, 'run')} ended early without a collision, because of {enders}. "
             f"In {self.close} of them, a vehicle was within two seconds of the ego. The smallest gap to a vehicle "
             f"was {self.gap:.1f} m. {advice}"
         )
 
     @property
     def hides_most(self) -> bool:
-        """True if the search warns about early ends."""
+        """True if so many runs ended early that the search must warn about them."""
         return self.ended.total() > MOST_USELESS * self.simulated or self.close > MOST_CLOSE * self.simulated
 
     def warnings(self) -> list[str]:
@@ -461,34 +461,34 @@ class Health:
         found = []
         if self.errors:
             (most, count), *_ = self.errors.most_common(1)
-            which = "Most often" if count > 1 or len(self.errors) == 1 else "For example"
+            which = "The most frequent error" if count > 1 or len(self.errors) == 1 else "One of the errors"
             way_out = 'Correct it, or write ends="duration" in the world.' if " failed: " in most else "Correct it."
             found.append(
-                f"{self.errors.total()} of {plural(self.simulated, 'simulated scenario')} tested nothing. {which}: "
+                f"{_percent(self.errors.total(), self.simulated, 'simulated scenario')} tested nothing. {which}: "
                 f"{most:.300}. {way_out}"
             )
         if self.vacuous and not self._is_at_fault:
             found.append(
-                f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {self.invalid} were invalid, "
-                f"{self.discarded} were rejected or skipped, and {self.at_once} ended within the first second. Use "
-                "fewer NPCs, reject fewer runs, or correct what ends the runs early."
+                f"{_percent(self.simulated - self.valid + self.at_once, self.simulated, 'run')} tested nothing ("
+                f"{self.invalid} invalid, {self.discarded} rejected or skipped, {self.at_once} over within the first "
+                "second). Use fewer NPCs, reject fewer runs, or correct what ends the runs early."
             )
         touched = self.invalid - self.errors.total()
         if touched > MOST_INVALID * self.simulated:
             found.append(
-                f"{_percent(touched, self.simulated)} simulated scenarios tested nothing, because an NPC touched "
+                f"{_percent(touched, self.simulated, 'simulated scenario')} tested nothing, because an NPC touched "
                 "another NPC or a fixed object. Use fewer NPCs, more lanes or shorter runs."
             )
         for count, what in ((self.no_interaction, ALONE), (self.barely_moved, STANDING)):
             if count > MOST_USELESS * self.valid:
-                found.append(f"{_percent(count, self.valid)} valid runs {what}")
+                found.append(f"in {_percent(count, self.valid, 'valid run')}, {what}")
         return [*found, self.early_ends] if self.hides_most else found
 
 
-ALONE = "never brought an NPC near the ego in its lane. Use more NPCs, more genes, or a higher speed_limit for NPCs."
-STANDING = f"had an ego with a mean speed below {BARELY_MOVING:g} m/s. Check the units of the actions of the ADS."
+ALONE = "no NPC came near the ego in the ego's lane. Use more NPCs, more genes, or a higher speed_limit for NPCs."
+STANDING = f"the ego's mean speed was below {BARELY_MOVING:g} m/s. Check the units of the ADS's actions."
 _COUNTS = [each.name for each in fields(Health) if each.name != "gap"]
 
 
-def _percent(part: int, whole: int) -> str:
-    return f"{part / whole:.0%} ({part}) of {whole}".replace("%", " %", 1)
+def _percent(part: int, whole: int, noun: str) -> str:
+    return f"{part} of {plural(whole, noun)} ({part / whole:.0%})".replace("%", " %", 1)

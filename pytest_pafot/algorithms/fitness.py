@@ -30,7 +30,7 @@ WORST_RANK = -math.inf
 
 
 class FitnessError(ValueError):
-    """An error in a fitness, which cannot be used or failed for a run."""
+    """An error about a fitness that cannot be used, or that failed for a run."""
 
 
 # The time to contact at which the risk is one half [s], a usual limit for critical encounters (van der Horst 1990).
@@ -38,7 +38,7 @@ TAU = 1.5
 
 
 def risks(trace: Trace) -> tuple[float, float, float, float]:
-    """Return the four risks of the default fitness, each from 0 to 1, for a run that is not invalid."""
+    """Return the four risks in the default fitness, each from 0 to 1, for a valid run."""
     # The four measures of the paper, in forms that rise steadily towards a collision:
     # - METTC ignores when the NPC gets to the crossing point, and is infinite at nearly every tick of a straight road.
     #   The time until the boxes touch replaces it: 1 / (1 + TTC / tau).
@@ -61,7 +61,7 @@ def risks(trace: Trace) -> tuple[float, float, float, float]:
 def default_fitness(trace: Trace) -> float:
     """Return the default fitness: the mean of four :func:`risks`, plus 1 for a collision.
 
-    It is between 0 and 1 without a collision and between 1 and 2 with one, so any collision outranks any near-miss.
+    It is from 0 to 1 without a collision and from 1 to 2 with one, so any collision outranks any near-miss.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
@@ -70,7 +70,7 @@ def default_fitness(trace: Trace) -> float:
 
 
 def paper(trace: Trace) -> float:
-    """Return the paper's four measures in its linear combination, -(METTC + MD + SD + ET).
+    """Return the paper's linear combination of four measures, -(METTC + MD + SD + ET).
 
     Seconds and metres are added without weights, because the paper gives none.
     """
@@ -92,12 +92,12 @@ TURNING = math.radians(1.0)  # heading relative to the road above which the ego 
 
 
 def braking_distance(speed: FloatArray) -> FloatArray:
-    """Return braking distances [m] for speeds [m/s] of any shape, by AV-Fuzzer's fitted polynomial."""
+    """Return braking distances [m] for an array of speeds [m/s], by AV-Fuzzer's fitted polynomial."""
     return np.maximum(0.0467 * speed**2 + 0.4116 * speed - 1.9913 + 0.5, 0.0)
 
 
 def av_fuzzer(trace: Trace) -> float:
-    """Return AV-Fuzzer's fitness, which increases as distances to NPCs and room to brake decrease.
+    """Return AV-Fuzzer's fitness, which increases as the distances to NPCs and the room to brake decrease.
 
     Source: Li et al., "AV-FUZZER", ISSRE 2020, with the numbers of the released code.
     """
@@ -141,7 +141,7 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
         **{measure.name: measure for measure in MEASURES if measure.worse != "neither"},
     }
 )
-"""The functions by the names that ``fitness=`` accepts. The name of a measure means its worst value in the run."""
+"""Functions by the names that ``fitness=`` accepts. The name of a measure means its worst value in the run."""
 
 
 def resolve(fitness: str | Fitness = "default") -> Fitness:
@@ -166,7 +166,7 @@ def is_built_in(fitness: str | Fitness) -> bool:
 class Steered:
     """The fitness of a run, which a search maximises.
 
-    With ``is_for_ego``, the search looks for collisions for which the ego is responsible.
+    If ``is_for_ego`` is True, the search looks for collisions for which the ego is responsible.
     """
 
     fitness: Fitness
@@ -187,7 +187,7 @@ class Steered:
 
 
 def before_impact(trace: Trace) -> Trace:
-    """Return a colliding run up to 3 s before the impact, as a run without a collision.
+    """Cut a run off 3 s before its collision, which turns it into a run without a collision.
 
     At least the first tick remains. A run without a collision is returned unchanged.
     """
@@ -217,7 +217,7 @@ def before_impact(trace: Trace) -> Trace:
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """A fitness that is checked in each run and is never NaN."""
+    """A fitness function whose result is checked in each run and is never NaN."""
 
     function: Fitness  # a field and not a variable of a closure, so that workers can receive it
 
@@ -233,8 +233,8 @@ class _Checked:
             ) from error
         if not isinstance(value, (Real, np.bool_)):
             raise FitnessError(
-                f"fitness: expected {_name(self.function)} to return a number, but received {value!r} for {trace!r}. "
-                "Return a float that is higher if the run is worse for the ego."
+                f"fitness: expected {_name(self.function)} to return a number, but it returned {value!r} for {trace!r}."
+                " Return a float that is higher if the run is worse for the ego."
             )
         return _never_nan(float(value))
 
@@ -272,7 +272,7 @@ def _name(function: object) -> str:
 
 
 def _time_to_collision(trace: Trace) -> float:
-    """Return ET [s], the time to the collision. Without a collision, it is the planned duration."""
+    """Return ET [s]: the time to the collision or, without one, the planned duration."""
     planned = criticality.planned_duration(trace)
     return min(criticality.execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
 

@@ -52,7 +52,7 @@ def _with_npc(scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleT
 
 
 def _swap(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped]:
-    """Return for each scenario the index of a random NPC, with its new chain and vehicle."""
+    """Return the index of a random NPC in each scenario, with the NPC's new chain and vehicle."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
     kind, its_kind = a.vehicle_of(in_a), b.vehicle_of(in_b)
@@ -64,7 +64,6 @@ def _swap(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped]:
 
 
 def _fit_genes(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
-    """Return an NPC's chain, converted to the genes of another scenario."""
     chain = scenario.npcs[npc]
     if scenario.gene_seconds == other.gene_seconds:
         return chain
@@ -72,10 +71,10 @@ def _fit_genes(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
 
 
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Replace a random instruction by a new one of the same kind (section 3.4.2).
+    """Replace a random instruction with a new one of the same kind (section 3.4.2).
 
-    If the space varies them, some mutations change the start, the number of NPCs, the duration of genes or a vehicle,
-    or insert a pattern.
+    If the space allows it, some mutations instead change the start, the number of NPCs, the gene duration or a
+    vehicle, or insert a pattern.
     """
     # If crossing NPCs conflict now, one of them is sampled again.
     child, crossing = _mutate(scenario, space, rng), space.crossing_traffic
@@ -134,7 +133,6 @@ def _with_new_crossing(scenario: Scenario, crossing: CrossingTraffic, rng: Gener
 
 
 def _with_new_start(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return the scenario with a different initial speed or initial lane of the ego."""
     npcs = scenario.npcs
     lanes = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
     roomy = [lane for lane in lanes if space.most_on(lane) >= len(npcs)]
@@ -148,7 +146,6 @@ def _with_new_start(scenario: Scenario, space: SearchSpace, rng: Generator) -> S
 
 
 def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return the scenario with another duration of genes or number of NPCs."""
     npcs, most = scenario.npcs, space.most_on(scenario.ego_lane)
     durations = [seconds for seconds in space.gene_durations if seconds != scenario.gene_seconds]
     if durations and (not space.most_npcs or rng.integers(2)):
@@ -209,7 +206,7 @@ def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
 
 
 def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, Evaluation]:
-    """Return two members, each selected by a tournament, different ones if possible."""
+    """Return the winners of two tournaments, which are different members if possible."""
     first = tournament(population, rng)
     others = [member for member in population if member is not first]
     return first, tournament(others or population, rng)
@@ -230,7 +227,7 @@ def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
 
 
 def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
-    """Return whether a candidate is eligible and outranks the best run so far, if there is one."""
+    """Return whether a candidate is eligible and outranks the best run so far, if any."""
     return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
 
 
@@ -249,11 +246,10 @@ def breed(
 
 
 def with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
-    """Return the chains with one of them replaced."""
+    """Return the chains with one NPC's chain replaced."""
     return (*chains[:npc], chain, *chains[npc + 1 :])
 
 
 def _child(parent: Scenario, chains: tuple[Chromosome, ...], rng: Generator) -> Scenario:
-    """Return a scenario that starts like its parent, with other chains."""
     # With the parent's seed, the repair would make the same choice for an NPC and a gene in all descendants.
     return repaired(chains, fresh_seed(rng), parent)

@@ -44,18 +44,18 @@ class PafotState:
 
 @dataclass(frozen=True, slots=True)
 class PafotSearch:
-    """The paper's search, with the paper's numbers as defaults.
+    """The paper's search, with the parameters from the paper as defaults.
 
     Attributes:
         space: space of the scenarios.
         population: number of scenarios in a generation.
-        crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
-        mutation_rate: probability that one instruction of a child is replaced, p_m.
+        crossover_rate: probability p_c that a pair of parents swaps two NPCs.
+        mutation_rate: probability p_m that one instruction of a child is replaced.
         elite_share: fraction of the population that is kept unchanged, rounded up.
-        local_generations: generations of a local search after its mutants; 0 turns local searches off.
-        local_mutation_factor: factor of the mutation rate in a local search.
-        local_after: number of generations after a random population without a local search.
-        restart_after: number of generations without a new best before a restart.
+        local_generations: number of generations in a local search after its mutants; 0 disables local searches.
+        local_mutation_factor: factor by which a local search multiplies the mutation rate.
+        local_after: number of generations without local searches after each random population.
+        restart_after: number of generations without a new best scenario before a restart.
         breeding_attempts: number of times a child is bred again if its run is already known.
     """
 
@@ -79,7 +79,7 @@ class PafotSearch:
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise ValueError(f"population: expected at least an elite and a child, but received {self.population!r}")
+            raise ValueError(f"population: expected at least 2, an elite and a child, but received {self.population!r}")
         rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
         counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
         check_parameters(self, rates=rates, factors=factors, **counts)
@@ -138,7 +138,7 @@ class PafotSearch:
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
-        """Return a mutant of the incumbent, if possible one with an unknown run."""
+        """Return a mutant of the incumbent, if possible one that has not been run."""
         for _ in range(self.breeding_attempts):
             mutant = mutate(incumbent.executed, self.space, rng)
             if known.recall(mutant) is None:

@@ -82,7 +82,6 @@ def from_plain(kind: type[T], data: Any) -> T:
 
 @lru_cache(maxsize=256)
 def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of the stored fields of a dataclass."""
     hints = get_type_hints(kind)
     stored = (each.name for each in fields(kind) if each.init and each.metadata != IN_MEMORY)
     return {name: hints[name] for name in stored if hints[name] is not Any}
@@ -105,7 +104,7 @@ def _read(kind: Any, data: Any) -> Any:
         except ScenarioError:
             raise  # it is a ValueError, but its message is better than the one below
         except (TypeError, ValueError):
-            raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
+            raise _refuse("a scenario, a list of chains, seed, lane, speed and duration", data) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         kind = Signature
     origin, inner = get_origin(kind), get_args(kind)

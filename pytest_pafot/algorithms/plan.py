@@ -1,4 +1,4 @@
-"""The ask-and-tell interface of search algorithms, and the plan of a search."""
+"""The ask-and-tell interface for search algorithms, and the plan of a search."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SearchState(Protocol):
 
     @property
     def local_generation(self) -> int:
-        """The current or next generation of a local search, from 1; 0 in the main search."""
+        """The current or next generation of a local search, counted from 1, or 0 in the main search."""
 
 
 StateT = TypeVar("StateT", bound=SearchState)
@@ -48,7 +48,7 @@ StateT = TypeVar("StateT", bound=SearchState)
 class Algorithm(Protocol[StateT]):
     """A search algorithm: a value without internal state, which receives its random generator in each call.
 
-    The class is called with a :class:`~pytest_pafot.algorithms.space.SearchSpace`. It may have the attributes of
+    The class is called with a :class:`~pytest_pafot.algorithms.space.SearchSpace`. It can define the attributes of
     :class:`~pytest_pafot.algorithms.catalogue.AlgorithmClass`.
     """
 
@@ -145,7 +145,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 def end_of_local_search(
     state: SearchState, incumbent: Evaluation, better: Evaluation | None
 ) -> tuple[AlgorithmEvent, ...]:
-    """Return the events at the end of a local search. ``better`` is its result if the incumbent was beaten."""
+    """Return the events at the end of a local search. ``better`` is its result if that beats the incumbent."""
     finished = LocalSearchFinished(
         generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
     )
@@ -158,8 +158,8 @@ def check_ask(asked: Sequence[object] | None) -> None:
     """Raise a RuntimeError if ``ask`` is called while scenarios are being evaluated."""
     if asked is not None:
         raise RuntimeError(
-            f"ask: expected a call of tell after the last ask, which returned {len(asked)} scenarios, but received a "
-            "second ask. Evaluate the scenarios, and pass their evaluations and the state from ask to tell."
+            f"ask: expected a call to tell after the last ask, which returned {len(asked)} scenarios, but received a "
+            "second ask. Evaluate the scenarios, and pass the state from ask and the evaluations to tell."
         )
 
 
@@ -167,8 +167,8 @@ def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Ev
     """Raise an error if evaluations do not match the requested scenarios one by one."""
     if asked is None:
         raise RuntimeError(
-            "tell: expected a state from ask, but received a state in which no scenarios were requested. Call ask "
-            "first."
+            "tell: expected a state that ask returned, but received a state in which no scenarios were requested. "
+            "Call ask first."
         )
     check_order("tell", asked, evaluations)
 
@@ -184,7 +184,7 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
             raise ValueError(
                 f"{place}: expected the evaluation of {scenario} at index {index}, but received the evaluation of "
-                f"{evaluation.scenario}. Keep the order of the scenarios."
+                f"{evaluation.scenario}. Pass the evaluations in the order of the scenarios."
             )
 
 
@@ -195,9 +195,9 @@ def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple
     """Raise a ValueError that names the first parameter that is out of range."""
     limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
     limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
-    limits |= {name: (bound, math.inf, f"a count of at least {bound}") for name, bound in least.items()}
+    limits |= {name: (bound, math.inf, f"a whole number, at least {bound}") for name, bound in least.items()}
     if "population" in least:
-        limits["population"] = (least["population"], MOST, f"a count from {least['population']} to {MOST}")
+        limits["population"] = (least["population"], MOST, f"a whole number from {least['population']} to {MOST}")
     for name, (low, high, expected) in limits.items():
         if not low <= getattr(search, name) <= high:
             raise ValueError(f"{name}: expected {expected}, but received {getattr(search, name)!r}")
@@ -211,9 +211,9 @@ class Plan:
 
     Args:
         algorithm: the algorithm to run.
-        generations: limit of the generations of the main search; None if ``runs`` is the limit.
+        generations: largest number of generations of the main search; None if ``runs`` is the limit.
         seed: seed of all random numbers.
-        runs: limit of the simulated scenarios; None for no limit.
+        runs: largest number of simulated scenarios; None for no limit.
         seeds_matter: True if the seed of a scenario can change its run although the chains are the same.
 
     Raises:
@@ -277,19 +277,19 @@ class Plan:
         return self._asked[len(self._told)]
 
     def recalled(self) -> Evaluation | None:
-        """Return the evaluation of the next scenario if an earlier run shows it, otherwise None."""
+        """Return the evaluation of the next scenario if it is known from an earlier run, otherwise None."""
         return self._cache.recall(self.scenario())
 
     def ahead(self) -> list[Scenario]:
-        """Return the scenarios of the generation that still need a run, in their order."""
+        """Return the scenarios of the generation that still need a run, in order."""
         coming = dict.fromkeys(self._asked[len(self._told) :])
         unknown = (each for each in coming if self._cache.recall(each) is None)
         return [each for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)]
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
-        """Record the evaluation of the next scenario. ``reused`` is True for one from :meth:`recalled`."""
+        """Record the evaluation of the next scenario. ``reused`` is True if :meth:`recalled` returned it."""
         if evaluation.scenario is not self.scenario() and evaluation.scenario != self.scenario():
-            raise ValueError(f"expected the evaluation of {self.scenario()}, but received {evaluation.scenario}")
+            raise ValueError(f"expected the evaluation of {self.scenario()}, but received one of {evaluation.scenario}")
         event = Evaluated(
             generation=self._state.generation,
             local_generation=self._state.local_generation,

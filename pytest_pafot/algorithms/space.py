@@ -54,7 +54,7 @@ class Step(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """The steps of an NPC around the ego, with a name and the source that lists them as dangerous."""
+    """A dangerous sequence of an NPC's steps around the ego, with its name and source."""
 
     name: str
     steps: tuple[Step, ...]
@@ -178,7 +178,7 @@ class SearchSpace:
         npcs: number of NPCs in a scenario, from 1 to 8.
         genes: number of instructions of each NPC that does not cross.
         gene_seconds: duration of one gene [s].
-        speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
+        speed_limit: highest target speed [m/s]; 26.8 m/s is the paper's 60 mph.
         ego_lane: the ego's initial lane, counted from 0 at the left.
         ego_speed: initial speed of the ego and of all NPCs that do not cross [m/s].
         ego_lanes: lanes from which the ego's initial lane is sampled.
@@ -191,8 +191,8 @@ class SearchSpace:
         crossings: paths that cross the ego's path. Three quarters of all NPCs use them.
         most_on_grid: largest number of NPCs that do not cross, if others do.
         instructions: ``"cells"``, ``"lanes"``, or ``"both"`` with equal probability.
-        vehicles: vehicles that NPCs can be. If cars are among them, one NPC in six is no car.
-        tick: the duration of a tick [s]. Durations of genes are rounded to whole ticks; 0 leaves them as they are.
+        vehicles: vehicle types for NPCs. If cars are among them, one NPC in six is not a car.
+        tick: duration of a tick [s]. Gene durations are rounded to whole ticks, or not at all if this is 0.
     """
 
     npcs: int = 2
@@ -220,9 +220,9 @@ class SearchSpace:
         object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
-        expected = f"a number of seconds greater than 0 and at most {LONGEST_GENE:g}"
+        expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
-        checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
+        checked_number(self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0)
         if self.tick:
             object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
             object.__setattr__(self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations)))
@@ -267,7 +267,6 @@ class SearchSpace:
         return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
 
     def sample_vehicle(self, rng: Generator) -> VehicleType:
-        """Sample the vehicle of an NPC."""
         others = self.other_vehicles
         # No random number is used if all NPCs are cars.
         if not others or (CAR in self.vehicles and rng.random() >= OTHERS):
@@ -275,7 +274,7 @@ class SearchSpace:
         return others[int(rng.integers(len(others)))]
 
     def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
-        """Return a scenario in which no vehicle is too long for the bends of its path."""
+        """Replace each vehicle that is too long for its path's bends with a car."""
         if not scenario.vehicles or self.crossings is None:
             return scenario
         vehicles = tuple(
@@ -310,11 +309,11 @@ class SearchSpace:
         traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
         count = len(self.zones)
         ways = f", most of them on paths that cross the ego's path in {plural(count, 'zone')}" if count else ""
-        kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
+        how = {"cells": "", "lanes": " with LaneInstructions", "both": " with PositionInstructions or LaneInstructions"}
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
         others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
-        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
+        return f"{npcs}{how[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -330,7 +329,7 @@ class SearchSpace:
         return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
     def with_sampled_start(self, rng: Generator) -> SearchSpace:
-        """Sample the start and the size of scenarios, and return the space with these."""
+        """Return the space restricted to a sampled start and size of its scenarios."""
         if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
             return self
         lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
@@ -342,17 +341,17 @@ class SearchSpace:
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
-        """Return the space of scenarios with this start [m/s], and this number and duration of genes [s]."""
+        """Return the space with one initial lane, speed [m/s], number of NPCs, and number and duration [s] of genes."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 
     def most_on(self, lane: int) -> int:
-        """Return the largest number of NPCs for an initial lane of the ego."""
+        """Return the largest number of NPCs if the ego starts in a lane."""
         lanes = self.ego_lanes or (self.ego_lane,)
         return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
 
     def genes_of(self, seconds: float) -> int:
-        """Return how many genes of this duration [s] fill the total duration."""
+        """Return the number of genes of a duration [s] that fill the total duration."""
         if seconds == self.gene_seconds:
             return self.genes
         return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
@@ -362,7 +361,7 @@ class SearchSpace:
         return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
 
     def sample_speed(self, rng: Generator) -> float:
-        """Sample the initial speed of all vehicles [m/s]."""
+        """Sample the initial speed [m/s] of all vehicles."""
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
@@ -372,9 +371,9 @@ class SearchSpace:
 def space_on(
     speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, float] | None = None
 ) -> SearchSpace:
-    """Return the space of scenarios in a world with a speed limit [m/s] and a longest run [s].
+    """Return the space of scenarios for a world with a speed limit [m/s] and a maximum run duration [s].
 
-    On a curved road the environment gives the ``start``: the ego's lane and speed [m/s], and the ticks per second.
+    On a curved road, the environment provides ``start``: the ego's lane and speed [m/s], and the ticks per second.
 
     Raises:
         TypeError, ValueError: if a field in ``given`` is unknown or out of range.
@@ -444,7 +443,7 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 
 
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
-    """Return a chain for each NPC from cells, and from speeds in steps of 0.1 m/s."""
+    """Build a chain for each NPC from its cells and its speeds in steps of 0.1 m/s."""
     return [
         [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
@@ -464,7 +463,7 @@ def repaired(
 ) -> Scenario:
     """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
 
-    ``start`` gives everything but the chains, the seed and, if they are given, the vehicles.
+    ``start`` provides everything except the chains, the seed and, if given, the vehicles.
     """
     if vehicles is None:
         vehicles = start.vehicles if isinstance(start, Scenario) else ()

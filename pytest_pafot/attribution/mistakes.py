@@ -62,7 +62,7 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """Return the ego's mistake in a collision with this verdict, or None if the ego is not responsible."""
+    """Return the ego's mistake in a collision, or None if the ego is not responsible."""
     npc = None if trace.collision is None else trace.collision.npc
     if npc is None or attribution.fault is None or attribution.tick is None:
         return None
@@ -81,15 +81,15 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
 
 
 def attributed(trace: Trace) -> Attribution:
-    """Return the verdict of :func:`rss_rule` on a run's collision, with the ego's mistake."""
+    """Return the verdict of :func:`rss_rule` on a run's collision, together with the ego's mistake."""
     found = rss_rule(trace)
     return found if found.fault is None else replace(found, mistake=mistake(trace, found))
 
 
 def decided(found: Attribution, seconds: float | None) -> Attribution:
-    """Return the verdict after a careful driver has decided a contested one.
+    """Return the verdict, as decided by a careful driver's latest takeover if the responsibility is contested.
 
-    ``seconds`` is the latest takeover that avoids the collision [s before the impact]; 0 if none does, None if unknown.
+    ``seconds`` is that takeover [s before the impact]; 0 if none avoids the collision, None if unknown.
     """
     if found.contested is None or seconds is None:
         return found

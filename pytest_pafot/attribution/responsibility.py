@@ -117,7 +117,7 @@ class Attribution:
 
 
 class Ruling(NamedTuple):
-    """The result of a rule, with the facts for its sentences."""
+    """The result of a rule, with the facts that the sentences of a verdict state."""
 
     responsibility: Responsibility
     tick: int
@@ -127,13 +127,13 @@ class Ruling(NamedTuple):
 
 
 def rss_rule(trace: Trace) -> Attribution:
-    """Attribute a collision by the five rules of docs/explanation/verdicts.md.
+    """Attribute a collision according to the five rules in docs/explanation/verdicts.md.
 
     1. At a junction, a vehicle that did not give way is responsible.
     2. A vehicle that moves into another's path without leaving room is responsible.
     3. A follower is responsible if an ordinary response would have avoided the collision.
     4. A vehicle that brakes or stops without a reason is responsible. So is a follower that could have avoided it.
-    5. Side by side, the vehicle that moved sideways is responsible.
+    5. If the vehicles were side by side, the one that moved sideways is responsible.
 
     An ego that touches a fixed object is always responsible.
 
@@ -161,7 +161,7 @@ def rss_rule(trace: Trace) -> Attribution:
 
 
 def position_rule(trace: Trace) -> Responsibility:
-    """Attribute a collision by the NPC's position at the impact, as the code of the paper's authors does.
+    """Attribute a collision by the NPC's position at the impact, as in the code by the paper's authors.
 
     The ego is responsible if it moved and the NPC was ahead of it. Otherwise the NPC is responsible.
     """
@@ -180,19 +180,19 @@ def frame_of(trace: Trace) -> RoadFrame:
 
 
 def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
-    """Return a vehicle's deceleration in the step before each tick [m/s^2], shape [ticks + 1]."""
+    """Return a vehicle's deceleration [m/s^2] in the step before each tick, as an array of shape [ticks + 1]."""
     speed = trace.states[:, vehicle, SPEED]
     return -np.diff(speed, prepend=speed[:1]) * trace.physics_hz
 
 
 def room_to_leave(follower: float, mover: float) -> float:
-    """Return the gap to the vehicle behind that a lane change must leave [m], given both speeds [m/s]."""
+    """Return the gap [m] that a lane change must leave to the vehicle behind, given both speeds [m/s]."""
     faster = max(follower - mover, 0.0)
     return max(faster * AFTER + faster**2 / (2 * GENTLY) + mover * DELAY, 0.0)
 
 
 class Conflict:
-    """The conflict of the ego (vehicle 0) and the NPC that it hit, in a lane or side by side."""
+    """The conflict between the ego (vehicle 0) and the NPC that the ego hit, in a lane or side by side."""
 
     def __init__(self, trace: Trace, npc: int) -> None:
         self._trace, self._npc, self._frame = trace, npc + 1, frame_of(trace)
@@ -348,7 +348,7 @@ class Conflict:
 
 
 def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Return whether the ego had a reason to brake, for each of the ticks."""
+    """Return for each tick whether the ego had a reason to brake."""
     frame = frame_of(trace)
     speed, others = frame.speed[0, ticks], frame.speed[1:, ticks]
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
@@ -421,11 +421,11 @@ class Passing:
     """A vehicle that approaches a conflict zone along its path.
 
     Attributes:
-        places: position along the path at each tick [m].
-        speeds: speed at each tick [m/s].
-        begins, ends: section of the path in the zone [m].
+        places: position [m] along the path at each tick.
+        speeds: speed [m/s] at each tick.
+        begins, ends: start and end [m] of the zone along the path.
         entry: tick at which the vehicle enters the zone, or the last tick.
-        has_entered: whether it is in the zone or past it at the last tick.
+        has_entered: True if the vehicle is in the zone or past it at the last tick.
     """
 
     def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
@@ -451,7 +451,7 @@ class Passing:
         return float(self.places[tick]) + (speed * (time - tick / self._hz) if speed else 0.0)
 
     def did_not_give_way(self, other: Passing) -> bool:
-        """Return whether the vehicle should have stopped for the other one, as it could foresee."""
+        """Return whether the vehicle could have foreseen that it should stop for the other one."""
         # Everything is foreseen at the last chance to stop before the zone.
         chance, hz, entry = max(self._stops(self.entry, self.begins), 0), self._hz, self.entry
         out, speed = np.flatnonzero(self.places[entry:] >= self.ends), float(self.speeds[-1])
@@ -472,7 +472,7 @@ class Passing:
         return gap < float(DISTANCES.safe_along(own, np.asarray(faster), DELAY))
 
     def saw_it_taken(self, other: Passing) -> bool:
-        """Return whether the vehicle entered although it could still stop, or slow down, for the other one."""
+        """Return whether the vehicle entered although it could have stopped or slowed down for the other one."""
         # Merging: could it still slow down to the speed of the other, which had merged ahead of it?
         if self._merges:
             ticks = np.arange(other.entry, self.entry)

@@ -38,7 +38,7 @@ LOST, SAME = 0.2, 0.05
 
 
 def responsible_sentence(responsibility: str, npc: int | None, takeover: float | None = None) -> str:
-    """Return the sentence on who is responsible, and on the latest takeover [s before the impact]."""
+    """Return the sentence about the responsible side and the latest takeover [s before the impact]."""
     if npc is None:
         return "The ego is responsible, because a fixed object does not move."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}
@@ -59,7 +59,7 @@ def impact(
     """Return the headline of a collision: who hit whom, when and how fast.
 
     Args:
-        time: time of the impact [s].
+        time: time [s] of the impact.
         npc: the NPC; None for a fixed object.
         side: side of the ego that was hit.
         cell: cell of the NPC at the impact; None if it crossed the ego's path.
@@ -88,7 +88,7 @@ def impact(
 def sentences_on(
     trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
 ) -> tuple[str, ...]:
-    """Return the sentences on a collision: the decisive event, then one each on the NPC and the ego."""
+    """Return the sentences about a collision: the decisive event, then one each about the NPC and the ego."""
     # First the decisive event, unless it is only that they came too close, which the other sentences show.
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
     (who, whom), at = (named(vehicle), named(other)), f"{tick / hz:.1f} s"
@@ -171,7 +171,7 @@ def _deed(
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin
-        when = f" from {(since + first) / hz:.1f} s" if first else ""
+        when = f" after {(since + first) / hz:.1f} s" if first else ""
         told += [_kept(part[0])] if first and not told else []
         hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
         is_braking = change < 0 and hardest >= BRAKES

@@ -25,17 +25,20 @@ ROUNDING = 1e-6
 
 
 class TakeOver(Protocol):
-    """A function that simulates a run again, and lets the careful driver take over at a tick."""
+    """A function that repeats a run with a careful driver who takes over at a tick."""
 
     def __call__(self, trace: Trace, tick: int, /) -> Trace:
-        """Simulate the run with the careful driver from this tick."""
+        """Simulate the run with a careful driver who takes over at this tick."""
 
     def lasting(self, seconds: float, /) -> TakeOver:
-        """Return the same function for runs of this duration [s]."""
+        """Return the same function for runs with this duration [s]."""
 
 
 def latest(trace: Trace, take_over: TakeOver) -> float | None:
-    """Return the latest takeover that avoids a collision [s before the impact]; 0 if none does, None if unknown."""
+    """Return the latest takeover that avoids a collision [s before the impact].
+
+    Return 0 if no takeover avoids it, and None if this is unknown.
+    """
     if trace.collision is None or trace.collision.npc is None:
         return None
     # Try later takeovers first, until IN_SUCCESSION of them, each a STEP earlier than the last, avoid the collision.
@@ -56,7 +59,7 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
 
 
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
-    """Return the run in which the careful driver takes over, or None if its start differs from the recorded start."""
+    """Return the run in which the careful driver takes over, or None if it does not start like the recorded run."""
     tick = _tick(trace, seconds)
     # The run must not end before it is known that the driver touches no vehicle.
     taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
@@ -65,10 +68,10 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
 
 
 def sentence(seconds: float) -> str:
-    """Return the sentence on a result of :func:`latest`."""
+    """Return the sentence that states a result of :func:`latest`."""
     if not seconds:
-        return f"A careful driver who takes over in the last {WINDOW:g} s cannot reliably avoid it."
-    return f"A careful driver could avoid it by taking over {seconds:g} s before the impact or earlier."
+        return f"A careful driver who took over in the last {WINDOW:g} s could not reliably have avoided it."
+    return f"A careful driver who took over at least {seconds:g} s before the impact would have avoided it."
 
 
 def _tick(trace: Trace, seconds: float) -> int:

@@ -1,4 +1,4 @@
-"""The policies, worlds and checks on the command line."""
+"""The policies, worlds and checks that command-line arguments name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
     """Return the policy factory that the user names on the command line.
 
     Args:
-        reference: module of ``example_ads``, module:factory, or module:factory:argument.
+        reference: a module of ``example_ads``, ``module:factory``, or ``module:factory:argument``.
         option: name of the option, for errors.
         what: description of the expected function, for errors.
 
@@ -60,7 +60,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
 
 
 def whole_name(reference: str) -> str:
-    """Return module:factory[:argument] for a name that :func:`ads_factory` accepts."""
+    """Return ``module:factory[:argument]`` for a name that :func:`ads_factory` accepts."""
     # An example policy is the one in the clone in which the command runs, or else the installed one.
     reference = reference.removesuffix(PLANNER)
     name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
@@ -91,7 +91,7 @@ def chosen_world(
         is_planner: whether an environment is for a planner in SI units.
 
     Raises:
-        RequestError: if there is no such world or policy.
+        RequestError: if the world or a policy does not exist.
     """
     for each in policies:
         ads_factory(each)
@@ -123,10 +123,10 @@ def check_function(reference: str) -> Callable[..., Any]:
 
 
 def config_of(text: str | None) -> dict[str, Any] | None:
-    """Return the environment's options in the JSON of ``--config``, or None.
+    """Return the environment's options from the JSON in ``--config``, or None if there is no JSON.
 
     Raises:
-        RequestError: if it is not a JSON object.
+        RequestError: if ``text`` is not a JSON object.
     """
     if text is None:
         return None

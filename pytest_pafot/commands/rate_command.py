@@ -31,9 +31,9 @@ CHUNK = 10
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """The crash rate of a policy, from its episodes in the order of their seeds.
+    """A policy's crash rate, computed from its episodes in the order of their seeds.
 
-    Episodes without a run, or with an error, are ``failed`` and do not count.
+    Episodes that did not start or that ended with an error are ``failed`` and do not count.
     """
 
     ads: str
@@ -41,7 +41,7 @@ class Rate:
 
     @property
     def failed(self) -> dict[int, str]:
-        """The reasons why episodes were not completed, by seed."""
+        """The reasons why episodes were not completed, by the episodes' seeds."""
         return {each.seed: why for each in self.episodes if (why := each.error.text if each.error else each.undriven)}
 
     @property
@@ -56,7 +56,7 @@ class Rate:
 
     @property
     def lines(self) -> list[str]:
-        """The lines about the rate, the seeds of the crashes, and the errors."""
+        """The lines to print about the rate, the seeds of the crashes, and the errors."""
         crashes = f"none of {plural(len(self.episodes), 'episode')} was completed"
         if self.driven:
             share = interval_text(len(self.crashed), self.driven)
@@ -78,7 +78,7 @@ def _shown(seeds: Sequence[int]) -> str:
 
 
 def compared(first: Rate, others: Sequence[Rate]) -> list[str]:
-    """Compare a policy with others by McNemar's test, on the seeds on which neither failed."""
+    """Compare a policy with each of the others by McNemar's test, on the seeds that both completed."""
     counts = []
     for other in others:
         seeds = {each.seed for each in first.episodes} - first.failed.keys() - other.failed.keys()
@@ -100,7 +100,7 @@ def environment_of(given: argparse.Namespace) -> World:
     """Return the environment that ``--world`` and ``--config`` describe.
 
     Raises:
-        RequestError: if they describe none.
+        RequestError: if they do not describe an environment.
     """
     world = chosen_world(given.world, given.config, (given.ads, *given.against))
     if isinstance(world, World):
@@ -113,10 +113,10 @@ def environment_of(given: argparse.Namespace) -> World:
 
 
 def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode]:
-    """Run the episodes of a task: at most :data:`CHUNK`, all with one policy.
+    """Run a task's episodes: at most :data:`CHUNK`, all with one policy.
 
     Raises:
-        RequestError: if these are the policy's first episodes, and it fails in all of them.
+        RequestError: if these are the policy's first episodes, and each ends with an error.
     """
     (name, first), world = task, environment_of(given)
     factory, is_planner = ads_factory(name), name.endswith(PLANNER) or world.planner_hz is not None
@@ -154,7 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(given: argparse.Namespace, command: Sequence[str]) -> int:
-    """Measure the crash rates, and return 1 if a policy completed too few episodes, or exceeds ``--fail-above``."""
+    """Measure crash rates, and return 1 if a policy completed too few episodes or its rate exceeds ``--fail-above``."""
     for name, least in (("episodes", 1), ("seed", 0)):
         if (value := getattr(given, name)) < least:
             raise RequestError(f"--{name}: expected a whole number, at least {least}, received {value}")

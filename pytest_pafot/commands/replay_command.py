@@ -1,6 +1,6 @@
-"""``python -m pytest_pafot replay``: run the scenario of one saved file with a policy, without a project.
+"""``python -m pytest_pafot replay``: replay one saved scenario with a policy, outside of a project.
 
-The session is a search that only replays, and this file is its only saved scenario.
+The command runs a search session that only replays, with this file as its only saved scenario.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """``python -m pytest_pafot search``: a search without test files.
 
-The session runs the file that ``--write-test`` writes, in a temporary folder. Findings are saved in a folder that no
-test of a project uses, until ``--write-test`` moves them.
+In a temporary folder, the session runs the test file that ``--write-test`` would write. Findings are saved in a folder
+that no project's tests use, until ``--write-test`` moves them.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, codes: str) -> None:
-    """Declare the arguments of both ``search`` and ``replay``. ``codes`` explains the exit codes."""
+    """Declare the arguments that ``search`` and ``replay`` share. ``codes`` explains the exit codes."""
     of_check = "assert your requirements on each run with this function (default: no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = f"write the findings to this web page (default: {page or 'none'})"
@@ -118,7 +118,7 @@ def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, cod
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the search, or write its test with ``--write-test``, and return the exit code."""
+    """Run the search or, with ``--write-test``, write its test. Return the exit code."""
     name, test = written_test(arguments, "ADS")
     here = Path.cwd()
     kept, found = (here / root / Path(TEST).stem / safe_name(name) for root in (CORPUS, FOUND))
@@ -208,9 +208,9 @@ def written_test(arguments: argparse.Namespace, option: str, world: str = "") ->
     """Return the name of the test and the content of its file.
 
     Args:
-        arguments: arguments of the command.
+        arguments: the command's arguments.
         option: name of the argument for the policy, for errors.
-        world: argument of the mark for the world, if ``--world`` names none.
+        world: the mark's argument for the world, if ``--world`` is not given.
     """
     ads_factory(arguments.ads, option)
     _check_module(arguments.ads, option)

@@ -1,4 +1,4 @@
-"""The tasks of a command, in this process or in worker processes."""
+"""The execution of a command's tasks, in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ ResultT = TypeVar("ResultT")
 
 
 def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: int) -> Iterator[tuple[TaskT, ResultT]]:
-    """Run tasks, and yield each with its result as soon as it is finished.
+    """Run tasks, and yield each task with its result as soon as it is finished.
 
     Raises:
         ChildProcessError: if a process ends during a task.
-        Exception: if a task raises it.
+        Exception: if a task raises an exception.
     """
     # With one worker, the tasks run here. Otherwise, processes are spawned on every system, so that each imports the
     # policy and no state of this process can affect a result. `work` must then be picklable.

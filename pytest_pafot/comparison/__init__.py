@@ -1,1 +1,1 @@
-"""The comparison of search algorithms: many runs of each, tables, statistics and figures."""
+"""The comparison of search algorithms: repeated runs, tables, statistics and figures."""

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run a comparison and write its report, in which ``command`` is quoted. Return the exit code."""
+    """Run a comparison, write a report that quotes ``command``, and return the exit code."""
     names = tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip())
     given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
     plan = Plan(**{**given, "algorithms": names})

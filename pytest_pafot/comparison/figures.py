@@ -1,4 +1,4 @@
-"""The figures of a comparison. All of them can be read without colours."""
+"""The figures of a comparison. All of them can be read in black and white."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ POINTS = 300  # number of points on a curve over time
 
 
 class Style(NamedTuple):
-    """The appearance of an algorithm in figures. Styles differ in lightness, line and marker."""
+    """The appearance of an algorithm in figures. Styles differ in lightness, line style and marker."""
 
     colour: str
     line: Any
@@ -60,7 +60,7 @@ def _algorithms(results: Results) -> Iterator[tuple[str, Style, pd.DataFrame]]:
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
-    """Write every figure as PNG. Return the titles of the figures by their file names without the suffix."""
+    """Write every figure as a PNG file. Return the titles by file name without the suffix."""
     with mpl.rc_context(SETTINGS):
         for name, (_, draw) in FIGURES.items():
             figure, buffer = Figure(figsize=(6.0, 3.6), layout="constrained"), BytesIO()
@@ -71,7 +71,7 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
 
 
 def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
-    """Draw the mean over the runs as a curve, with a band for their middle half."""
+    # The mean of all runs as a curve, with a band for the middle half of the runs.
     rows, times = results.frame[counts(results.frame)], np.linspace(0.0, results.horizon, POINTS)
     for name, style, runs in _algorithms(results):
         of_runs = [rows_of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]]
@@ -88,7 +88,7 @@ def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.Da
 
 
 def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
-    """Return for each row whether it is the first failure with its signature in its run."""
+    # For each row, whether it is the first failure with its signature in its run.
     known = rows[rows["is_ego_failure"]].duplicated(["algorithm", "run", "signature"])
     return rows["is_ego_failure"] & ~known.reindex(rows.index, fill_value=False)
 

@@ -1,4 +1,4 @@
-"""The report of a comparison, as Markdown."""
+"""The report of a comparison, in Markdown."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ HOW_TO_READ = """
 
 
 def report(results: Results, tests: Sequence[Comparison], command: Sequence[str], figures: Mapping[str, str]) -> str:
-    """Return the report. ``command`` is the command that made it, and ``figures`` has the titles by file name."""
+    """Return the report.
+
+    ``command`` is the command that creates it, and ``figures`` maps file names to titles.
+    """
     parts = [
         _head(results, command),
         _distinct(results),

@@ -1,4 +1,4 @@
-"""The plan of a comparison. Each run in it is a search by one algorithm."""
+"""The plan of a comparison, in which each run is a search by one algorithm."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def never_collides(blame: str, run: Run) -> None:
 
 
 class Entrant(NamedTuple):
-    """A participant in a comparison: an algorithm, the duration of its runs, and its scenarios."""
+    """A participant in a comparison: an algorithm, with the duration and the kind of its scenarios."""
 
     algorithm: AlgorithmClass
     seconds: float | None = None  # duration of its runs [s]; None for the world's duration
@@ -56,11 +56,11 @@ class Entrant(NamedTuple):
 
     @classmethod
     def of(cls, given: str) -> Entrant:
-        """Make an entrant from a name or ``module:Class``, optionally followed by ``@`` and seconds, or ``@paper``.
+        """Make an entrant from a name or ``module:Class``, optionally followed by ``@paper`` or by ``@`` and seconds.
 
         Raises:
             ValueError: if there is no such algorithm.
-            RequestError: if the text after the ``@`` is not a time.
+            RequestError: if ``@`` is followed by anything else.
         """
         reference, at, text = given.partition("@")
         if text == PAPER:
@@ -100,7 +100,7 @@ class Plan:
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
-        """All pairs (algorithm, run) in the order in which they start, run by run."""
+        """All pairs (algorithm, run) in their starting order: run 0 of each algorithm, then run 1."""
         return tuple((name, run) for run in range(self.runs) for name in self.names)
 
     @property
@@ -109,7 +109,7 @@ class Plan:
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
     def made_world(self) -> BaseWorld:
-        """Return the world of all algorithms that have no duration of their own.
+        """Return the world for all algorithms that have no duration of their own.
 
         Raises:
             RequestError: if an option has a value that the world does not accept.
@@ -131,7 +131,7 @@ class Plan:
         return world  # type: ignore[no-any-return]
 
     def setting(self, name: str) -> tuple[BaseWorld, SearchSpace]:
-        """Return the world and the space of scenarios for one of the :attr:`names`."""
+        """Return the world and the search space for one of the :attr:`names`."""
         entrant, own = self._entrant(name), self.made_world()
         space, seconds = own.space({}), entrant.seconds
         if not (entrant.is_papers or entrant.algorithm.is_papers):
@@ -168,7 +168,7 @@ class Plan:
         return found
 
     def run(self, name: str, number: int) -> AlgorithmRun:
-        """Return a run for one of the :attr:`names`.
+        """Return a run of one of the algorithms in :attr:`names`.
 
         Raises:
             ValueError: if the algorithm or the fitness cannot be used.
@@ -188,7 +188,7 @@ class Plan:
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:
-        """Return the seed of one run, so that runs of different algorithms are independent samples."""
+        """Return the seed of one run. Seeds differ between algorithms, so all runs are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
@@ -196,7 +196,7 @@ class Plan:
         """Check that the plan can be run.
 
         Raises:
-            RequestError: for the first wrong option, with its name.
+            RequestError: for the first invalid option, with its name.
         """
         if not self.algorithms:
             raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, but received none")

@@ -1,4 +1,4 @@
-"""Measures of the runs of a comparison, and statistical tests of the algorithms against each other."""
+"""Measures of the runs in a comparison, and statistical tests between the algorithms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TESTED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """The data of a comparison's report."""
+    """The data for a comparison's report."""
 
     plan: Plan  # plan of the comparison
     frame: pd.DataFrame  # a row for each scenario that was simulated and ended before the horizon
@@ -39,7 +39,7 @@ class Results:
 
     @classmethod
     def of(cls, plan: Plan, path: Path) -> Results:
-        """Read the results of a comparison from the file with its rows, and measure its runs."""
+        """Read the results of a comparison from a file with a row per scenario, and measure its runs."""
         frame = read_rows(path)
         end = horizon(frame)
         return cls(plan=plan, frame=frame[~frame["reused"] & (frame["clock"] <= end)], horizon=end,
@@ -69,12 +69,12 @@ def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
 
 
 def horizon(frame: pd.DataFrame) -> float:
-    """Return the simulated time of the shortest run [s], up to which runs are compared."""
+    """Return the simulated time [s] of the shortest run. All runs are compared up to this time."""
     return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
 
 
 def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
-    """Return the measures of every run, one row each, from the scenarios that end within a simulated time [s]."""
+    """Return a row of measures for each run, computed from the scenarios that end within a simulated time [s]."""
     counted = ~frame["reused"] & (frame["clock"] <= seconds)
     hits, failures = counted & (frame["outcome"] == "collision"), counted & frame["is_ego_failure"]
     columns = {
@@ -99,7 +99,7 @@ def rows_of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def first_failures(runs: pd.DataFrame, seconds: float) -> tuple[list[float], list[bool]]:
-    """Return each run's time to the ego's first failure [s], and whether it is censored because there was none."""
+    """Return each run's time [s] until the ego's first failure, and whether it is censored for lack of a failure."""
     is_censored = np.isinf(runs["first_failure"])
     return runs["first_failure"].where(~is_censored, seconds).tolist(), is_censored.tolist()
 
@@ -113,7 +113,7 @@ CONFIDENCE = 0.95
 
 
 class Effect(NamedTuple):
-    """The effect size of two samples, with its confidence interval and a test."""
+    """The effect size between two samples, with its confidence interval and a test."""
 
     a12: float  # probability that a value of the first sample is greater, counting ties as half (Vargha-Delaney)
     low: float  # lower end of the 95 % confidence interval of A12
@@ -123,7 +123,7 @@ class Effect(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survival:
-    """Kaplan-Meier's estimate of the fraction of runs without an event at each time."""
+    """The Kaplan-Meier estimate of the fraction of runs without an event at each time."""
 
     times: FloatArray  # times at which the estimated fraction decreases
     shares: FloatArray  # the fraction after each of these times
@@ -131,7 +131,7 @@ class Survival:
 
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
-    """Return the effect size of two samples, with its interval and test. Infinite values are equal to each other."""
+    """Return the effect size between two samples, with its interval and test. Infinite values count as equal."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
     p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
@@ -139,7 +139,7 @@ def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return A12, the probability that a value of the first sample is greater, where ties count half.
+    """Return A12, the probability that a value from the first sample is greater, counting ties as half.
 
     Source: Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000.
     """
@@ -148,7 +148,7 @@ def a12(first: Sequence[float], second: Sequence[float]) -> float:
 
 
 def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the confidence interval of an estimate of A12, for two sizes of samples.
+    """Return the confidence interval of an estimate of A12 from samples of two sizes.
 
     Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
     Statistics in Medicine 25(4), 2006, method 5.
@@ -169,13 +169,16 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
 
 
 def fisher_p(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Return p of Fisher's two-sided exact test. Each pair has the numbers of runs with a failure and of all runs."""
+    """Return the two-sided p-value of Fisher's exact test.
+
+    Each pair contains the number of runs with a failure and the number of all runs.
+    """
     table = np.array([[found, runs - found] for found, runs in (first, second)])
     return float(scipy.stats.fisher_exact(table).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
-    """Estimate the fraction of runs without an event from their times to an event, which may be censored.
+    """Estimate the fraction of runs without an event at each time, from event times that may be censored.
 
     Source: Kaplan, Meier, JASA 53, 1958.
     """
@@ -189,7 +192,7 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """Return p of the two-sided log-rank test on times that may be censored, or 1 if it cannot be computed."""
+    """Return the two-sided p-value of the log-rank test on times that may be censored, or 1 if it is undefined."""
     if all(first_censored) and all(second_censored):
         return 1.0
     with np.errstate(invalid="ignore"):  # if all events are at the same time, scipy divides 0 by a variance of 0
@@ -218,7 +221,7 @@ class Comparison(NamedTuple):
 
 
 def comparisons(results: Results) -> list[Comparison]:
-    """Compare the first algorithm with each of the others."""
+    """Compare the first algorithm with each of the other algorithms."""
     first, *others = results.plan.names
     found: list[Comparison] = []
     for second in others:

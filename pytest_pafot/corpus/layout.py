@@ -1,6 +1,6 @@
 """The names of the folders and files in which scenarios are saved.
 
-A test file has a corpus next to it, with a folder for its module, and in that a folder for each test.
+The corpus next to a test file contains a folder for the module, which contains a folder for each test.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CORPUS = "pafot_corpus"
 """The default name of the folder next to a test file."""
 
 FOUND = "pafot_found"
-"""The folder in which the command ``search`` saves findings. Tests of a project do not replay them."""
+"""The folder in which the command ``search`` saves findings. The tests of a project do not replay them."""
 
 SEARCH_PART = "search"
 """The part of an item's name that marks a search, as in ``test_x[1-search]``."""
@@ -47,7 +47,7 @@ def is_misnamed(name: str) -> bool:
 
 
 def name_within(name: str) -> str:
-    """Return the original name of a renamed copy such as ``x.pafot.yaml.txt``, or an empty string."""
+    """Return the original file name of a renamed copy such as ``x.pafot.yaml.txt``, or an empty string."""
     # Emacs puts ".#" before the name of a lock file. Backups and temporary copies have a longer suffix.
     original, suffix, more = name.lstrip(".#").partition(SUFFIX)
     return original + suffix if original and more else ""
@@ -62,7 +62,7 @@ def entries_of(folder: Path) -> list[Path]:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder, even where ``Path.is_dir`` raises."""
+    """Return whether a path is a folder, even if ``Path.is_dir`` would raise an error."""
     # Path.is_dir raises if a link leads into a folder without read permission, or to a name that is too long.
     # A pull request can contain such links, and they must not end the collection.
     return os.path.isdir(path)  # noqa: PTH112
@@ -75,7 +75,7 @@ def files_below(root: Path = Path(CORPUS)) -> list[Path]:
 
 
 def unlisted_below(root: Path) -> dict[Path, str]:
-    """Return the folders of a tree that cannot be listed, each with an error message."""
+    """Return the folders in a tree that cannot be listed, each with an error message."""
     errors: list[OSError] = []
     for _ in os.walk(root, onerror=errors.append):
         pass
@@ -106,25 +106,25 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
 
 
 def link_below(base: Path, path: Path) -> Path | None:
-    """Return the topmost symbolic link between a folder and a path below it."""
+    """Return the topmost symbolic link on the way from a folder to a path below it, or None."""
     way = [each for each in (path, *path.parents) if each != base and each.is_relative_to(base)]
     return next((each for each in reversed(way) if os.path.islink(each)), None)  # noqa: PTH114  (see is_folder)
 
 
 def chosen_folder(test_file: Path, corpus: str) -> Path:
-    """Return the folder that the user has chosen. Links below it are not trusted."""
+    """Return the folder that the user chose for the corpus. Links below it are not trusted."""
     return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
 
 
 def link_out(base: Path, root: Path, rootpath: Path) -> Path | None:
-    """Return the link that leads from the corpus folder out of the project, if there is one."""
+    """Return the link through which the path of a corpus folder leaves the project, or None."""
     link = link_below(base, root)
     # A link from one folder of the project to another is harmless.
     return None if link is None or is_inside(root, rootpath) else link
 
 
 def is_inside(path: Path, rootpath: Path) -> bool:
-    """Return whether a path is inside the rootdir, after links are followed."""
+    """Return whether a path is inside the rootdir after all links are followed."""
     return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(rootpath))
 
 
@@ -136,7 +136,7 @@ def is_corpus(path: Path, corpus: Path) -> bool:
 
 
 def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
-    """Return the folder that contains the folders of all tests of a module."""
+    """Return the folder that contains the folders of a module's tests."""
     return corpus_root(test_file, corpus, rootpath) / safe_name(test_file.stem)
 
 
@@ -146,7 +146,7 @@ def folder_of_test(test_file: Path, test_name: str, corpus: str, rootpath: Path)
 
 
 def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
-    """Return the test file to which a corpus file belongs, or None outside a corpus."""
+    """Return the test file to which a corpus file belongs, or None if the file is not in a corpus."""
     if len(file.parents) < 3:
         return None
     # The path of a corpus file ends with module/test/file.
@@ -160,7 +160,7 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
 
 
 def module_named(directory: Path, folder: str) -> Path:
-    """Return the test file for a folder of a corpus, whether it exists or not."""
+    """Return the test file that belongs to a folder of a corpus, even if the test file does not exist."""
     return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
 
 
@@ -198,7 +198,7 @@ def safe_name(text: str) -> str:
 
 
 def _runs_of_case(text: str) -> str:
-    """Encode the positions of capitals as the lengths of runs of lower and upper case, in base 36."""
+    # Encode the positions of capitals as the lengths of runs of lower and upper case, in base 36.
     # A run of 35 or more is split by empty runs of the other case, so that each length is one digit.
     runs = [(is_capital, len(list(run))) for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)]
     lengths = [0] * runs[0][0] + [length for _, length in runs[: None if runs[-1][0] else -1]]
@@ -206,7 +206,7 @@ def _runs_of_case(text: str) -> str:
 
 
 class TestFolders:
-    """The folders of a module, listed once and searched by the name of a test."""
+    """The folders of a module's tests, listed once and looked up by the name of a test."""
 
     __test__ = False  # for pytest, which collects classes whose names begin with Test
 
@@ -214,7 +214,7 @@ class TestFolders:
         self._sorted = sorted(entries_of(module_folder), key=_beginning)
 
     def folders_of(self, test: str) -> list[Path]:
-        """Return the folders that may belong to a test, sorted by name."""
+        """Return the folders that can belong to a test, sorted by name."""
         prefix = _readable(test).removeprefix("_")
         start = bisect_left(self._sorted, prefix, key=_beginning)
         begins = takewhile(lambda path: _beginning(path).startswith(prefix), islice(self._sorted, start, None))
@@ -226,7 +226,7 @@ def _beginning(folder: Path) -> str:
 
 
 def may_be_of(folder: str, test: str) -> bool:
-    """Return whether a folder may belong to a test with any parameters."""
+    """Return whether a folder can belong to a test, regardless of the parameters."""
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.
@@ -238,13 +238,13 @@ def _readable(text: str) -> str:
 
 
 def around(part: str, name: str) -> tuple[str, str] | None:
-    """Return the text before and after a part of a parametrised name, or None."""
+    """Return the strings before and after a part of a parametrised name, or None if the name does not contain it."""
     found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", name, re.DOTALL)
     return None if found is None else (found[1], found[2])
 
 
 def name_without(part: str, name: str) -> str:
-    """Return a node id without a part: ``test_x[1]`` for ``test_x[1-search]``."""
+    """Remove a part from a node id: ``test_x[1-search]`` becomes ``test_x[1]``."""
     parts = around(part, name)
     if parts is None:
         return name
@@ -257,6 +257,6 @@ def name_without(part: str, name: str) -> str:
 def refusal(link: Path) -> str:
     """Return the error message for a link that is not followed."""
     return (
-        f"expected a folder, received the link {link}, which may lead to files outside the project; "
-        "replace the link with the folder itself, or give the absolute path of the folder"
+        f"expected a folder, received the link {link}, which may lead to files outside the project. "
+        "Replace the link with the folder itself, or give the absolute path of the folder"
     )

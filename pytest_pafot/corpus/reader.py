@@ -23,6 +23,7 @@ import yaml
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in, refusal
 from pytest_pafot.findings.finding import (
+    ID_RULE,
     MAX_DEPTH,
     MAX_NUMBER,
     Expect,
@@ -42,7 +43,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import CAR, PAPERS, READY, STYLES, VehicleType
 from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, command, plain_number, plain_whole
 from pytest_pafot.support.files import LFS_POINTER, open_regular
-from pytest_pafot.support.text import day_of, visible
+from pytest_pafot.support.text import day_of, listed, visible
 
 VERSION = 3
 """The only version of the format that can be read."""
@@ -50,13 +51,13 @@ VERSION = 3
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
 MOST_VALUES = 40_000
-"""The largest number of values in a file."""
+"""The largest number of values that a file can contain."""
 
 Place = tuple[str | int, ...]
 """The keys and indices that lead from the top of a document to a value."""
 
 XFAIL, REASON = "xfail", "reason"
-"""The key for accepted failures, and the only key in its mapping for which a date needs quotes."""
+"""The keys of an accepted failure and of its reason, which needs quotes if it looks like a date."""
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
@@ -67,7 +68,7 @@ _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
 """The start of a saved scenario, which distinguishes a faulty file from an unrelated one."""
-NOT_SHOWN = "a file that does not start like a saved scenario, so its content is not printed"
+NOT_SHOWN = "content that is not printed, because the file does not start like a saved scenario"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
@@ -88,9 +89,9 @@ class Keys:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A value in a document, with methods that check its type.
+    """A value in a document, with methods that check its type and return it.
 
-    Each method returns the checked value, or raises a :class:`CorpusError` that names the line and the field.
+    A method that fails raises a :class:`CorpusError` with the line and the name of the field.
     """
 
     path: Path
@@ -104,28 +105,28 @@ class Field:
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
-        """Return an error with the line of the value, or of the nearest value around it."""
+        """Return an error with the line of the value, or of the innermost enclosing value with a known line."""
         # The innermost place with a known line. The document itself always has one.
         places = (self.place[:end] for end in range(len(self.place), -1, -1))
         line = next(self.lines[place] for place in places if place in self.lines)
-        return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
+        received = received or ("null" if self.value is None else f"{self.value!r:.80}")
+        return CorpusError(self.path, expected, received, fix, field=self.name, line=line)
 
     def at(self, part: str | int) -> Field:
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
-    def mapping(self, keys: Keys, hint: str = "") -> dict[str, Field]:
-        """Return the values of a mapping that can have only these keys. An error for another key ends with ``hint``."""
+    def mapping(self, keys: Keys, owner: str = "") -> dict[str, Field]:
+        """Return the values of a mapping that can have only these keys. Errors give ``owner`` as the keys' owner."""
         fields = self.any_mapping()
         known = keys.all
         # Unknown keys are reported before missing ones, because a misspelt key causes both.
         for key in fields:
             if key not in known:
-                fix = "; ".join(filter(None, (_guess(key, known), hint)))
-                raise fields[key].error(f"{one_of(known)} (format {VERSION})", fix, repr(key))
+                raise fields[key].error(f"the key {one_of(known)}{owner}", _guess(key, known), repr(key))
         for key in keys.required:
             if key not in fields:
-                received = f"only {', '.join(fields)}" if fields else "nothing"
-                raise self.error(f"the key '{key}'", "add it, or restore the file from version control", received)
+                received = f"only {listed([*map(repr, fields)])}" if fields else "an empty mapping"
+                raise self.error(f"the key '{key}'", "add the key, or restore the file from version control", received)
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
@@ -146,73 +147,73 @@ class Field:
     def some_text(self, fix: str) -> str:
         """Return a string that is not blank. ``fix`` is the advice in the error."""
         if not isinstance(self.value, str) or not self.value.strip():
-            raise self.error("a string that is not blank", fix)
+            raise self.error("a non-blank string", fix)
         return self.value
 
     def choice(self, options: Collection[str]) -> Any:
         if not isinstance(self.value, str) or self.value not in options:
-            raise self.error(one_of(options), _guess(str(self.value), options))
+            raise self.error(one_of(options), _guess(str(self.value), options, "correct the value"))
         return self.value
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
-            expected = f"of at least {low}" if high is None else f"from {low} to {high}"
-            raise self.error(f"a whole number {expected}", "correct it")
+            expected = f"of at least {low}" if high is None else f"from {low:,} to {high:,}"
+            raise self.error(f"{low}" if low == high else f"a whole number {expected}", "correct the value")
         return number
 
     def day(self) -> date:
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
-            raise self.error("a date that exists, as year-month-day", "write a date such as 2027-01-31")
+            raise self.error("a valid date in the form YYYY-MM-DD", "write a date such as 2027-01-31")
         return day
 
     def truth(self) -> bool:
         if not isinstance(self.value, bool):
-            raise self.error("true or false", "correct it")
+            raise self.error("true or false", "correct the value")
         return self.value
 
     def number(self, low: float = 0.0) -> float:
-        """Return a finite number that is at least ``low``."""
+        """Return a finite number that is not below ``low``."""
         number = plain_number(self.value)
         if number is None or not low <= number <= MAX_NUMBER:
-            raise self.error(f"a finite number of at least {low:g}", "correct it")
+            raise self.error(f"a number from {low:,.0f} to {MAX_NUMBER:,.0f}", "correct the value")
         return float(number)
 
 
 def one_of(options: Collection[str]) -> str:
     """Return a list of choices for an error message."""
-    return f"one of {', '.join(options)}"
+    return listed([*map(repr, options)], "or")
 
 
-def _guess(word: str, options: Collection[str]) -> str:
+def _guess(word: str, options: Collection[str], otherwise: str = "rename or remove the key") -> str:
     close = difflib.get_close_matches(word, list(options), n=1)
-    return f"did you mean {close[0]!r}?" if close else "correct or remove it"
+    return f"did you mean {close[0]!r}?" if close else otherwise
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     """Return the top mapping of the YAML document in a file.
 
     Args:
-        path: the path of the file, for errors.
-        content: the content in UTF-8.
-        base: a safe loader of PyYAML, by default the compiled one if it is installed.
+        path: the path of the file, for error messages.
+        content: the content of the file, in UTF-8.
+        base: a safe PyYAML loader; by default the compiled loader, if it is installed.
 
     Raises:
-        CorpusError: for invalid YAML, for tags, aliases and other special features, and for another version.
+        CorpusError: for invalid YAML, for tags, aliases and other special features, and for unsupported versions.
     """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     # Checks from cheap to expensive. An error must not print the content of a file that does not look like a saved
     # scenario, since such a file may contain a secret.
     if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
-        fix = f"give a file whose name ends with {SUFFIX}; this one is for another tool, or `export` wrote it"
-        raise CorpusError(path, "a saved scenario", "a file of a different kind", fix)
+        received = "a different kind of file, such as one that `export` wrote"
+        raise CorpusError(path, "a saved scenario", received, f"give a file whose name ends with {SUFFIX}")
     if len(content) > MAX_BYTES:
-        raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
+        raise CorpusError(path, f"a file of at most {MAX_BYTES // 1024} KiB", "a larger file", "shorten or delete it")
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
-        raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
+        raise CorpusError(path, "a saved scenario", "an empty file")
     if content.startswith(LFS_POINTER):
-        raise CorpusError(path, "a saved scenario", "a pointer of Git LFS", "fetch the file with git lfs pull")
+        raise CorpusError(path, "a saved scenario", "a Git LFS pointer", "fetch the file with `git lfs pull`")
     try:
         value, lines = _parsed(path, content, base)
     except CorpusError as error:
@@ -223,13 +224,13 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     if not isinstance(value, dict):
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
     if "pafot" not in value:  # checked first: nothing else can be checked in a file of a newer version
-        raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without this key")
+        raise top.error(f"the key 'pafot' with the value {VERSION}", received="a mapping without this key")
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
-        fix = "install the version of pytest-pafot that wrote it, or delete the file and search again"
+        fix = "install the version of pytest-pafot that wrote this file, or delete the file and search again"
         # Without a version, this may be another kind of file with a secret under that key, so the value is not printed.
-        raise version.error(f"the format version {VERSION}", fix, None if is_whole else "a different kind of value")
+        raise version.error(f"format version {VERSION}", fix, None if is_whole else "a value of a different type")
     return top
 
 
@@ -240,11 +241,11 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
-        raise CorpusError(path, "text in UTF-8", received, "save it as UTF-8", line=line) from None
+        raise CorpusError(path, "text in UTF-8", received, "save the file as UTF-8", line=line) from None
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
-        raise CorpusError(path, "printable text", received, "remove it", line=line)
+        raise CorpusError(path, "printable text", received, "remove the unprintable character", line=line)
     # The compiled loader accepts tabs and "?" where the Python loader does not, but both must give the same result.
     is_odd = "\t" in text or "?" in text
     kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -256,7 +257,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         if isinstance(error, yaml.MarkedYAMLError):
             mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
             where = None if mark is None else mark.line + 1
-        received, fix = f"a syntax error: {problem}", "correct it, or restore the file"
+        received, fix = f"a syntax error ({problem})", "correct the syntax, or restore the file from version control"
         raise CorpusError(path, "valid YAML", received, fix, line=where) from None
     finally:
         loader.dispose()
@@ -285,20 +286,20 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one document", "none or several", "write one document per file")
+            raise self._error(event, "exactly one YAML document", "none or several", "write one document per file")
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
         self.values += 1
         if self.values > MOST_VALUES:
             # Reading a value takes about 10 microseconds. A file of this plugin would reach the size limit first.
-            raise self._error(event, f"at most {MOST_VALUES} values", "more", "delete or shorten the file")
+            raise self._error(event, f"at most {MOST_VALUES} values", "more", "shorten or delete the file")
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
             # Expanding aliases can use up all memory (a "billion laughs" attack).
-            name = f"the alias or anchor {event.anchor!r:.40}"
-            raise self._error(event, "values without aliases and anchors", name, "write the value in full")
+            name = f"the {'alias' if isinstance(event, yaml.AliasEvent) else 'anchor'} {event.anchor!r:.40}"
+            raise self._error(event, "a value without aliases or anchors", name, "write the value in full")
         if event.tag is not None:
-            raise self._error(event, "values without tags", f"the tag {event.tag!r:.60}", "remove the tag")
+            raise self._error(event, "a value without a tag", f"the tag {event.tag!r:.60}", "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
         if len(place) >= DEPTH:
@@ -312,31 +313,31 @@ class _Builder:
         if is_day and tag == f"{_PREFIX}timestamp":
             return str(event.value)
         if tag not in _PLAIN_TAGS:
-            received = f"{event.value!r:.60}, which YAML reads as a {tag.removeprefix(_PREFIX)}"
-            raise self._error(event, "a number, a string, true, false or null", received, "put it in quotes")
+            received = f"{event.value!r:.60}, which has the YAML type '{tag.removeprefix(_PREFIX)}'"
+            raise self._error(event, "a number, a string, true, false or null", received, "put the value in quotes")
         if event.implicit[0]:
             # YAML 1.1, YAML 1.2 and people read these in different ways: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
             text, kind = event.value, tag.removeprefix(_PREFIX)
             is_number = kind in ("int", "float")
             if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
-                fix = "write it as 10, 0.5 or 1.0e-5, or put a string in quotes"
-                raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
+                fix = "write a number such as 10, 0.5 or 1.0e-5, or put the value in quotes"
+                raise self._error(event, "a number in decimal notation", f"{text!r:.60}", fix)
             if kind in ("bool", "null") and not _WORD.fullmatch(text):
-                raise self._error(event, "true, false or null", f"{text!r:.60}", "put a string in quotes")
+                raise self._error(event, "true, false or null", f"{text!r:.60}", "if it is a string, put it in quotes")
         try:
             return self.loader.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
         except (ValueError, OverflowError):
-            fix = "write a smaller one, or put a string in quotes"
-            raise self._error(event, "a number", f"{event.value!r:.40}", fix) from None
+            received, fix = f"one with {len(event.value):,} digits", "shorten it, or put it in quotes"
+            raise self._error(event, "a number that can be read", received, fix) from None
 
     def _mapping(self, place: Place) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
         for event in self._until(yaml.MappingEndEvent):
             key = self._value((*place, "?"), event)
             if not isinstance(key, str):
-                raise self._error(event, "keys that are strings", f"the key {key!r:.60}", "put it in quotes")
+                raise self._error(event, "strings as keys", f"the key {key!r:.60}", "put the key in quotes")
             if key in mapping:
-                raise self._error(event, "each key only once", f"{key!r:.60} again", "remove one of them")
+                raise self._error(event, "each key only once", f"{key!r:.60} a second time", "remove the duplicate")
             # All keys are read at the place "?". After the value is read, its line becomes the line of the key.
             mapping[key] = self._value((*place, key), self.loader.get_event())
             self.lines[(*place, key)] = _line(event)
@@ -353,7 +354,7 @@ def _line(event: Any) -> int:
 
 
 DEFAULT_GENE_SECONDS = 10.0
-"""The duration of a gene in a file that does not state it [s]. It must never change."""
+"""The duration [s] of a gene if a file does not state one. This value must never change."""
 
 FILE = Keys(
     ("pafot", "scenario", "expect", "found", "test", "world"),
@@ -378,7 +379,7 @@ EGO = Keys(("lane", "speed"))
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",)}
 )
-"""Fields that a file must contain although they have a default in the code."""
+"""Fields that a file must contain even though they have defaults in the code."""
 
 SIGNED = frozenset({
     "slot", "value", "at_most", "at_least", "gap", "lanes_to_right", "npc_enters", "ego_enters", "ego_speed",
@@ -387,7 +388,7 @@ SIGNED = frozenset({
 """The fields that can be negative."""
 
 MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})
-"""The keys that distinguish the dataclasses of a union."""
+"""The keys that distinguish the dataclasses in a union."""
 
 Read = Callable[[Field], Any]
 
@@ -420,13 +421,13 @@ def load(path: str | os.PathLike[str]) -> Finding:
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
-    """Return the finding in the content of a corpus file."""
+    """Parse the content of a corpus file and return its finding."""
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     top = parse(path, content, loader)
     name = path.name.removesuffix(SUFFIX)
     if not path.name.endswith(SUFFIX) or not is_id(name):
-        expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
-        raise CorpusError(path, expected, path.name, "rename the file")
+        expected = f"a file name that consists of {ID_RULE}, followed by {SUFFIX}"
+        raise CorpusError(path, expected, repr(path.name), "rename the file")
     fields = top.mapping(FILE)
     scenario = _scenario(fields["scenario"])
 
@@ -445,14 +446,14 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         perception=_optional(fields, "perception", _perceived),
         shrunk=_optional(fields, "shrunk", lambda field: _record(field, Shrunk)),
         rate=_optional(fields, "rate", _rate),
-        flaky=_optional(fields, "flaky", lambda field: field.some_text("write what differed, or remove the line")),
+        flaky=_optional(fields, "flaky", lambda field: field.some_text("describe what differed, or remove the key")),
         xfail=reason,
         xfail_until=until,
     )
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """Return an error with the line of ``world`` or ``scenario``, for an error that this part of a file caused."""
+    """Convert an error caused by the ``world`` or ``scenario`` of a file to an error with its line."""
     try:
         return _rule_broken(parse(path, content_of(path)).at(part), error)
     except CorpusError as changed:  # the file was changed since it was read
@@ -460,7 +461,7 @@ def located(path: Path, part: str, error: Exception) -> CorpusError:
 
 
 def content_of(path: Path) -> bytes:
-    """Return the content of a file, cut to one byte more than the limit.
+    """Return the content of a file, truncated to one byte more than the size limit.
 
     Raises:
         CorpusError: if the file cannot be read, or is a link to a file outside its corpus.
@@ -469,12 +470,11 @@ def content_of(path: Path) -> bytes:
         with open_regular(_at_the_end_of_links(path)) as file:
             return file.read(MAX_BYTES + 1)
     except OSError as error:
-        received = error.strerror or str(error)
-    raise CorpusError(path, "a file that can be read", received)
+        raise CorpusError(path, "a regular file that can be read", f"the error '{error.strerror or error}'") from None
 
 
 def _at_the_end_of_links(path: Path) -> Path:
-    """Return the path after links are followed.
+    """Return the path to which a path leads when all links are followed.
 
     Raises:
         CorpusError: if a link leads out of the corpus.
@@ -492,7 +492,7 @@ def _at_the_end_of_links(path: Path) -> Path:
     if any(real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")) for above in path.parents):
         return real
     fix = "replace the link with the file itself, or delete the link"
-    raise CorpusError(path, "a file inside the corpus", "a link that leads out of it", fix)
+    raise CorpusError(path, "a file inside the corpus", "a link to a file outside it", fix)
 
 
 def _optional(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
@@ -502,11 +502,10 @@ def _optional(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any]
 def _world(field: Field) -> dict[str, Any]:
     fields = field.any_mapping()
     world = {key: inner.value for key, inner in fields.items()}
-    for key, value in world.items():
-        try:
-            check_plain(field.name, {key: value})
-        except ValueError as error:
-            raise field.at(key).error("JSON-compatible data", "correct it", str(error)) from None
+    try:
+        check_plain(field.name, world)
+    except FieldError as error:
+        raise _rule_broken(field, error) from None
     kind = world.get("kind")
     if isinstance(kind, str) and kind in WORLDS:
         # An unknown kind is rejected when the world is built, with the same error as for a dict in code.
@@ -530,7 +529,7 @@ def _keys_of(kind: Any) -> Keys:
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
-    """Return the dataclass that a mapping describes. ``own`` contains special readers for some keys."""
+    # `own` contains separate readers for some keys.
     keys, types = _keys_of(kind), types_of(kind)
     fields = field.mapping(keys)
     values = {  # in the order of the keys, so that a function in ``own`` can rely on the values before its own
@@ -584,18 +583,18 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
         for name in field.value:
             now = getattr(value, name)
             if type(now) is float and now != field.value[name]:  # the gene has rounded the number
-                unit = {"slot": " seconds", "speed": " m/s"}.get(name, "")
-                raise field.at(name).error(f"a value in steps of 0.1{unit}", f"write {now}")
+                unit = {"slot": " s", "speed": " m/s"}.get(name, "")
+                raise field.at(name).error(f"a multiple of 0.1{unit}", f"write {now}")
     return value
 
 
 def _kind_of(field: Field) -> type[Instruction]:
-    """Return the kind of instruction that a mapping describes."""
+    # The kind of instruction that a mapping describes.
     keys = field.any_mapping()
     # If a key belongs to another kind, the error lists the keys of this kind.
     kind = next((kind for kind in KINDS if kind.goal_kind in keys), PositionInstruction)
     if not keys.keys() <= {*_keys_of(kind).all}:
-        field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}")
+        field.mapping(Keys((), _keys_of(kind).all), f" of a {kind.__name__}")
     return kind
 
 
@@ -622,14 +621,14 @@ def _vehicle(field: Field) -> VehicleType:
         return READY[field.choice(tuple(READY))]
     if not isinstance(field.value, dict):
         expected = f"{one_of(tuple(READY))}, or a mapping with a name and a size"
-        raise field.error(expected, "write for example `truck`, or `{name: bus, length: 12.0, width: 2.5}`")
+        raise field.error(expected, "write `truck` or `{name: bus, length: 12.0, width: 2.5}`, for example")
     return _record(field, VehicleType)
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
-    """Return the error for a scenario or a world, with the line that caused it."""
+    # The error for an invalid scenario or world, with the line that causes it.
     if not isinstance(error, FieldError) or not error.expected:
-        return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
+        return field.error(f"a {field.name} that can run", received=str(error)[:MAX_RECEIVED])
     # Translate the field of the error, such as npcs[0][3].cell, into keys of the file, and follow them as far as they
     # exist.
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
@@ -643,7 +642,7 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
     if len(inner) == 3 and _has(place.value, "cell"):
         place = place.at("cell")
     # REPAIR is advice for code, not for a file.
-    fix = error.fix if error.fix and error.fix != REPAIR else "correct it, or delete the file"
+    fix = error.fix if error.fix and error.fix != REPAIR else "correct the value, or delete the file"
     return place.error(error.expected, fix, error.received[:MAX_RECEIVED])
 
 
@@ -661,7 +660,7 @@ def _expect(field: Field, npc: Read) -> Expect:
         is_fixed = not {"npc", "zone", "cell", "situation"} & {*fields}  # it hit a fixed object
         field.mapping(Keys(("side",) if is_fixed else with_npc, tuple(fields)))
     if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
-        raise fields["mistake"].error("no mistake, because only the fault entered-lane has one")
+        raise fields["mistake"].error("this key only with the fault 'entered-lane'")
     return _record(
         field,
         Expect,
@@ -697,7 +696,7 @@ class Saved(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> Saved:
-        """Read a corpus file. An error is stored, and raised only when the item of the file runs."""
+        """Read a corpus file. An error is stored, and is raised only when the file's item runs."""
         try:
             return cls(path=path, finding=load(path))
         except (CorpusError, OSError) as error:
@@ -720,7 +719,7 @@ class Saved(NamedTuple):
 
     @property
     def needs_own_process(self) -> bool:
-        """True if a run may end the process, hang or exhaust the memory."""
+        """True if a run can end the process, hang or exhaust the memory."""
         expect = None if self.finding is None else self.finding.expect
         return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 
@@ -761,5 +760,5 @@ def saved_in(folder: Path) -> list[Saved]:
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:
-    """Return the files of a folder, each with an error: the folder is behind a link out of the project."""
+    """Return the files in a folder outside the project, to which ``link`` leads, each with an error."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]

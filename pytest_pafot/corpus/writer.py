@@ -1,4 +1,4 @@
-"""The writer of corpus files, in a form that people can read and compare."""
+"""The writer of corpus files, in a format that people can read and compare."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, PAPERS
-from pytest_pafot.support.errors import CorpusError, flag
+from pytest_pafot.support.errors import CorpusError, FieldError, flag, sentence
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
 
 
 class CorpusWriteError(RuntimeError):
     """An error for a finding that could not be written."""
 
-    def __init__(self, path: Path, reason: str, fix: str) -> None:
-        super().__init__(f"{path}: expected to write a finding here, received this error: {reason}; {fix}")
+    def __init__(self, path: Path, expected: str, received: str, fix: str) -> None:
+        super().__init__(str(FieldError(field=f"{path}", expected=expected, received=received, fix=fix)))
         self.path = path
 
 
 def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
     """Write the file of a finding completely or not at all.
 
-    Return False if the file exists and ``over`` is not set.
+    Return False if the file already exists and ``over`` is false.
 
     Raises:
         CorpusWriteError: if the file cannot be written.
@@ -41,8 +41,8 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
     content = text_of(finding).encode()
     if len(content) > MAX_BYTES:
         # The reader would reject the file, so the finding would be lost.
-        reason = f"the file would have {len(content) // 1024} KiB, more than the limit of {MAX_BYTES // 1024} KiB"
-        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
+        expected, fix = f"a finding of at most {MAX_BYTES // 1024} KiB", "use fewer NPCs or fewer instructions per NPC"
+        raise CorpusWriteError(path, expected, f"one of {-(-len(content) // 1024)} KiB", fix)
     try:
         if not over:
             return write_if_free(path, content)
@@ -50,7 +50,7 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
         return True
     except OSError as error:
         fix = way_out(error, f"or choose another folder with {flag('corpus')}")
-        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
+        raise CorpusWriteError(path, "to save a finding", f"the error '{error.strerror or error}'", fix) from error
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -66,15 +66,17 @@ def rewrite(path: Path, finding: Finding) -> Finding:
             there = load(path)
             kept = finding.accepting(there.xfail, there.xfail_until)
         except CorpusError as error:
-            raise CorpusWriteError(path, f"the file here cannot be read ({error})", "correct or delete it") from error
+            received = f"a file that cannot be read: {sentence(error.field, error.expected, error.received, '')}"
+            raise CorpusWriteError(path, "a saved scenario to update", received, error.fix) from error
     write(path, kept, over=True)
     return kept
 
 
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
-    """Return a path for a new finding, and the finding with the id of that path.
+    """Return a path for a new finding, and the finding with the id in that path.
 
-    If a file already contains the finding, its path is returned. ``passed`` contains the files whose replays pass.
+    If a file already contains the finding, return the path of the file. ``passed`` contains the files whose replays
+    pass.
     """
     # The id is a hash of the scenario before shrinking. If the file with that id was updated to another failure, and
     # the first failure is found again, the id is taken. The new file then gets the suffix -2, -3 and so on.
@@ -189,10 +191,8 @@ def _fits_literal(text: str) -> bool:
 
 
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
-    """Return the lines of a mapping or list in flow style, wrapped to the width.
-
-    The first line begins with ``head``, the last one ends with ``tail``. ``column`` is the indentation of the head.
-    """
+    # The lines of a mapping or list in flow style, wrapped to the width. The first line begins with `head`, and the
+    # last line ends with `tail`. `column` is the indentation of `head`.
     if not value:
         return [head + _flow(value) + tail]
     is_mapping = isinstance(value, Mapping)
@@ -243,10 +243,7 @@ def _scalar(value: object) -> str:
 
 
 def _is_plain(text: str, also: str = "") -> bool:
-    """Return whether YAML 1.1 and 1.2 read a string unchanged without quotes.
-
-    ``also`` contains additional characters to allow.
-    """
+    # Whether YAML 1.1 and 1.2 read a string unchanged without quotes. `also` contains additional characters to allow.
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
     is_bounded = not text.endswith((" ", ":")) and ": " not in text and text not in _TRUTHS

@@ -1,7 +1,7 @@
-"""Measures of how dangerous a run was for the ego. Every measure is a function of a Trace.
+"""Measures of how dangerous a run was for the ego, as functions of a Trace.
 
-Arrays have the shape [ticks + 1, NPCs]. NaN in a trace leads to NaN in its measures. While a crossing NPC is not on the
-ego's path, distances along and across that path are NaN.
+The functions return arrays of shape [ticks + 1, NPCs]. If a trace contains NaN, so do its measures. While a crossing
+NPC is not on the ego's path, distances along and across that path are NaN.
 """
 
 from pytest_pafot.support import compiled

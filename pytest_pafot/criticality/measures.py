@@ -20,7 +20,9 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatAr
 
 
 class RelativePositions:
-    """The positions of a run's NPCs relative to the ego, shape [NPCs, ticks + 1]."""
+    """The positions of a run's NPCs relative to the ego."""
+
+    # Arrays have the shape [NPCs, ticks + 1].
 
     def __init__(
         self, states: FloatArray, sizes: FloatArray, lanes: Sequence[Lane], track: FloatArray | None = None
@@ -51,12 +53,11 @@ class RelativePositions:
 
     @property
     def is_on_way(self) -> npt.NDArray[np.bool_]:
-        """True while an NPC is on the ego's path."""
         return self._road.is_on_way
 
     @property
     def ahead(self) -> FloatArray:
-        """The distance of an NPC's centre ahead of the ego's centre [m]."""
+        """The distance [m] of an NPC's centre ahead of the ego's centre."""
         # On a curved road, the difference of the two positions on the ego's path is multiplied by the mean of the
         # metres that ego and NPC drive per metre of that path. In a circle this is the arc halfway between the arcs of
         # the two vehicles.
@@ -64,19 +65,19 @@ class RelativePositions:
 
     @property
     def right(self) -> FloatArray:
-        """The distance of an NPC's centre to the right of the ego's centre [m]."""
+        """The distance [m] of an NPC's centre to the right of the ego's centre."""
         # On a curved road, each vehicle's distance to the ego's path is measured at the position of the vehicle.
         return self._road.offsets[1]
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:
-        """True while the centres of ego and NPC are in the same lane."""
+        # True where the centres of the ego and an NPC are in the same lane.
         lane = self.column(LANE)
         same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0) & self.is_on_way
         return same
 
     def cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the cell of an NPC at a tick, or None outside all cells."""
+        """Return an NPC's cell at a tick, or None if the NPC is in no cell."""
         # Rows are as long as the ego, columns as wide as the ego's lane, or as the first lane if the ego is off the
         # road.
         ahead, right = self._road.offset(npc, tick)
@@ -84,7 +85,7 @@ class RelativePositions:
         return cell_at(ahead, right, float(self._sizes[0, 0]), width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the most recent cell of an NPC up to a tick, or None."""
+        """Return the cell that an NPC last occupied up to a tick, or None."""
         # Only the time since the NPC entered the ego's path counts.
         ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
         cells = (self.cell(npc, each) for each in ticks)
@@ -130,7 +131,7 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
-    """Pairs of boxes a and b, projected onto the four axes that can separate them."""
+    """Pairs of boxes, projected onto the four axes that can separate them."""
 
     a: Boxes
     b: Boxes
@@ -143,7 +144,7 @@ class Pairs:
 
 
 def relate(a: Boxes, b: Boxes) -> Pairs:
-    """Project the pairs (a, b) onto their four axes."""
+    """Project each pair (a, b) of boxes onto the four axes of the boxes."""
     cos = a.cos * b.cos + a.sin * b.sin
     sin = a.cos * b.sin - a.sin * b.cos
     c, s = np.abs(cos), np.abs(sin)
@@ -157,7 +158,7 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
 
 
 def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
-    """Return whether the boxes overlap."""
+    """Return whether the two boxes of each pair overlap."""
     result: npt.NDArray[np.bool_] = np.ones(pairs.cos.shape, dtype=np.bool_)
     for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
         result &= np.abs(offset) <= reach
@@ -165,14 +166,14 @@ def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
 
 
 def depth(pairs: Pairs) -> FloatArray:
-    """Return the smallest overlap over the axes [m], which is negative if the boxes are apart."""
+    """Return the smallest overlap [m] on any axis, negative if the boxes are apart."""
     spare = [reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)]
     result: FloatArray = np.min(spare, axis=0)
     return result
 
 
 def box_gap(pairs: Pairs) -> FloatArray:
-    """Return the smallest distance between the boxes [m], or 0 if they overlap."""
+    """Return the distance [m] between the boxes, or 0 if they overlap."""
     a, b = pairs.a, pairs.b
     # The smallest distance between two separate rectangles is always at a corner of one of them.
     along, across, back_along, back_across = pairs.offsets
@@ -184,7 +185,7 @@ def box_gap(pairs: Pairs) -> FloatArray:
 
 
 def contact_time(pairs: Pairs) -> FloatArray:
-    """Return the time until the boxes touch at their present velocities [s], or inf."""
+    """Return the time [s] until the boxes touch at their present velocities, or inf."""
     # Along each axis, the projections overlap during one interval of time. Contact starts when the last of these four
     # intervals starts, unless one of them has ended by then.
     velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
@@ -232,7 +233,7 @@ _PARALLEL = 1e-9
 
 
 class Encounters(RelativePositions):
-    """The geometry of one run, which its measures share."""
+    """The geometry of one run, which the measures share."""
 
     def __init__(self, trace: Trace) -> None:
         super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
@@ -252,7 +253,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """True while an NPC's centre is level with the ego's or ahead of it."""
+        # True where an NPC's centre is level with the ego's centre or ahead of it.
         return self.ahead >= 0
 
     def follower_minus_leader(self, values: FloatArray) -> FloatArray:
@@ -264,14 +265,15 @@ class Encounters(RelativePositions):
 
 @lru_cache(maxsize=1)
 def encounters_of(trace: Trace) -> Encounters:
-    """Return the cached geometry of a run."""
+    """Return the geometry of a run, which is cached."""
     return Encounters(trace)
 
 
 def ettc(trace: Trace) -> FloatArray:
-    """Return the paper's estimated time to collision (equations 1 to 3) [s].
+    """Return the paper's estimated time to collision [s] (equations 1 to 3).
 
-    It is the time until the ego reaches the point where the two lines of travel cross, or inf if it is not ahead.
+    This is the time until the ego reaches the point where its line of travel crosses the NPC's, or inf if that point is
+    not ahead.
     """
     # With p the positions, d the unit vectors of travel and x the cross product, the ego's distance to the crossing
     # point is (p2 - p1) x d2 / d1 x d2. This equals the paper's expression where its tangents and cotangents exist, and
@@ -293,47 +295,47 @@ def ettc(trace: Trace) -> FloatArray:
 
 
 def mettc(trace: Trace) -> float:
-    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]."""
+    """Return the paper's METTC [s], the smallest :func:`ettc` of the run."""
     return _lowest(ettc(trace))
 
 
 def ttc(trace: Trace) -> FloatArray:
-    """Return the time until the boxes touch at constant velocity and heading [s], or inf."""
+    """Return the time [s] until the boxes touch at constant velocity and heading, or inf."""
     # Source: Hayward, "Near-miss determination through use of a scale of danger", 1972; here for oriented boxes.
     return contact_time(encounters_of(trace).pairs).T
 
 
 def min_ttc(trace: Trace) -> float:
-    """Return the smallest :func:`ttc` of the run [s]."""
+    """Return the smallest :func:`ttc` [s] of the run."""
     swept = _extremes(trace)
     return _lowest(ttc(trace)) if swept is None else swept[0]
 
 
 def centre_distance(trace: Trace) -> FloatArray:
-    """Return the distance between the centres of the ego and each NPC (equation 4) [m]."""
+    """Return the distance [m] between the centres of the ego and each NPC (equation 4)."""
     # The offsets along and across the ego's heading give the same distance and are already computed.
     along, across = encounters_of(trace).pairs.offsets[:2]
     return np.sqrt(along * along + across * across).T
 
 
 def min_centre_distance(trace: Trace) -> float:
-    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]."""
+    """Return the paper's MD [m], the smallest :func:`centre_distance` of the run."""
     return _lowest(centre_distance(trace))
 
 
 def gap(trace: Trace) -> FloatArray:
-    """Return the distance between the boxes of the ego and each NPC [m]."""
+    """Return the distance [m] between the boxes of the ego and each NPC."""
     return box_gap(encounters_of(trace).pairs).T
 
 
 def min_gap(trace: Trace) -> float:
-    """Return the smallest :func:`gap` of the run [m]."""
+    """Return the smallest :func:`gap` [m] of the run."""
     swept = _extremes(trace)
     return _lowest(gap(trace)) if swept is None else swept[1]
 
 
 def safety_distance(trace: Trace) -> FloatArray:
-    """Return the paper's SD (equation 5), the distance that the follower gains on the leader in 3 s [m].
+    """Return the paper's SD [m], the distance that the follower gains on the leader in 3 s (equation 5).
 
     The follower must keep at least this distance.
     """
@@ -344,13 +346,13 @@ def safety_distance(trace: Trace) -> FloatArray:
 
 
 def min_safety_distance(trace: Trace) -> float:
-    """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises."""
+    """Return the smallest :func:`safety_distance` [m] of the run, which the paper's fitness minimises."""
     # This rewards leaders that pull away. `max_safety_shortfall` does not.
     return _lowest(np.where(encounters_of(trace).is_on_way.T, safety_distance(trace), np.inf))
 
 
 def safety_shortfall(trace: Trace) -> FloatArray:
-    """Return the fraction of the safety distance that is missing."""
+    """Return the missing fraction of the safety distance."""
     keep = safety_distance(trace)
     # Nothing is missing if the leader pulls away, or if ego and NPC are not in one lane.
     demanded = encounters_of(trace).same_lane.T & ~(keep <= 0)
@@ -376,17 +378,17 @@ def _extremes(trace: Trace) -> tuple[float, float, float] | None:
 
 
 def hardest_brake(trace: Trace) -> float:
-    """Return the ego's largest deceleration in the run [m/s^2]."""
+    """Return the ego's largest deceleration [m/s^2] in the run."""
     return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
 
 
 def execution_time(trace: Trace) -> float:
-    """Return the paper's ET, the simulated time of the run [s]."""
+    """Return the paper's ET [s], the simulated duration of the run."""
     return trace.duration
 
 
 def planned_duration(trace: Trace) -> float:
-    """Return the duration of the scenario's genes [s], or of the run if a gene has no duration."""
+    """Return the total duration [s] of the scenario's genes, or of the run if a gene has no duration."""
     return trace.duration if trace.scenario.seconds == np.inf else trace.scenario.seconds
 
 
@@ -397,7 +399,7 @@ def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def last_stretch(holds: npt.NDArray[np.bool_]) -> int:
-    """Return the first tick of the final interval in which a condition is true."""
+    """Return the first tick of the last interval in which a condition is true."""
     fails = np.flatnonzero(~holds[:-1])
     return int(fails[-1]) + 1 if fails.size else 0
 
@@ -408,7 +410,7 @@ def _lowest(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RssRules:
-    """The parameters of RSS, with the defaults of Intel's ad-rss-lib (appendix "Parameter Discussion")."""
+    """The parameters of RSS, with the default values of Intel's ad-rss-lib (appendix "Parameter Discussion")."""
 
     ego_response: float = 1.0  #: rho of the ego, the response time, in which it may still accelerate [s]
     npc_response: float = 2.0  #: rho of the NPCs [s]
@@ -429,7 +431,7 @@ class RssRules:
                 raise ValueError(f"{field.name}: expected a finite number {bound}, but received {value!r}")
 
     def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
-        """Return the gap that RSS requires of a follower [m], for speeds along the road [m/s]."""
+        """Return the gap [m] that RSS requires of a follower, given speeds [m/s] along the road."""
         # v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake): the leader may brake as
         # hard as possible immediately. The follower may speed up for its response time rho [s], and then brakes. A
         # leader that drives against the direction of the road comes closer while it brakes, so the square of its speed
@@ -440,12 +442,12 @@ class RssRules:
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
-    """Return the gap along the road between the boxes of the ego and each NPC [m]."""
+    """Return the gap [m] along the road between the boxes of the ego and each NPC."""
     return RoadFrame(trace).gap_along
 
 
 class RoadFrame:
-    """Positions, velocities and gaps along and across the road, shape [vehicles or NPCs, ticks + 1].
+    """Positions, velocities and gaps along and across the road at each tick.
 
     While an NPC is not on the ego's path, its values are NaN.
     """
@@ -477,17 +479,16 @@ class RoadFrame:
 
     @property
     def gap_along(self) -> FloatArray:
-        """The gap between the boxes along the road [m], shape [ticks + 1, NPCs]."""
+        """The gap [m] between the boxes along the road."""
         return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
-        """The lateral gap between the boxes [m]."""
         # At 0, the vehicle behind would hit the vehicle ahead if it drove straight on.
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """Return the smallest safe :attr:`gap_along` according to RSS [m]."""
+        # The smallest `gap_along` [m] that is safe according to RSS.
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -495,7 +496,6 @@ class RoadFrame:
         return rules.safe_along(follower, leader, response).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
-        """Return the smallest safe :attr:`gap_across` according to RSS [m]."""
         # Both vehicles may accelerate towards each other for their response times, and then brake until they no longer
         # move sideways. A vehicle that still moves away after its response time increases the gap while it brakes, so
         # its stopping distance is subtracted. The published formula, which assumes vehicles that come closer, adds it.

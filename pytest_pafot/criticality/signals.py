@@ -1,4 +1,4 @@
-"""The signals of a run, the table of all measures, and the passages of crossing NPCs through their zones."""
+"""The signals of a run, the table of all measures, and the times at which crossing NPCs pass their zones."""
 
 # A vehicle is in a zone as long as its box could touch the box of a vehicle on the other path.
 #
@@ -31,8 +31,8 @@ class Passage:
     Attributes:
         npc: index of the NPC.
         zone: zone where the two paths cross.
-        ego_enters, npc_enters: time of the first tick in the zone [s], or inf.
-        ego_leaves, npc_leaves: time of the first tick after the zone [s], or inf.
+        ego_enters, npc_enters: time [s] of the vehicle's first tick in the zone, or inf.
+        ego_leaves, npc_leaves: time [s] of the vehicle's first tick after the zone, or inf.
     """
 
     npc: int
@@ -44,7 +44,7 @@ class Passage:
 
     @property
     def post_encroachment_time(self) -> float:
-        """The time between one vehicle's exit from the zone and the other vehicle's entry [s]. Lower is worse."""
+        """The time [s] between one vehicle's exit from the zone and the other vehicle's entry. Lower is worse."""
         if math.inf in (self.ego_enters, self.npc_enters):
             return math.inf  # one of them never arrived
         # It is 0 if both were in the zone together.
@@ -52,16 +52,16 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return each NPC's passage of the zone where its path crosses the ego's path, or None."""
+    """Return each NPC's passage of the zone where its path crosses the ego's path, or None for an NPC that has none."""
     # A user's world may record zones without the positions of the vehicles on their paths.
     zones = trace.zones if _has_positions(trace) else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
-    """Return the post-encroachment time that would result if ego and NPC kept their speeds [s].
+    """Return the post-encroachment time [s] that would result if the ego and the NPC kept their speeds.
 
-    It is infinite if one of them would never arrive, or if the NPC does not cross.
+    It is infinite if either would never arrive, or if the NPC does not cross the ego's path.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -83,7 +83,7 @@ def time_advantage(trace: Trace) -> FloatArray:
 
 
 def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]:
-    """Return when the ego and an NPC were expected to enter and leave their zone [s]."""
+    """Return the times [s] at which the ego and an NPC were expected to enter and leave their zone."""
     # The times of the ego follow from its speed at the tick, and the times of the NPC from the run. If the run ended
     # before the NPC entered or left the zone, the time follows from its last speed.
     zone: Any = trace.zones[npc]
@@ -165,7 +165,7 @@ class SlotRequest:
 
 
 def slot_requests(trace: Trace) -> tuple[SlotRequest, ...]:
-    """Return the slots that a scenario requested for crossing NPCs."""
+    """Return the slots that a scenario requested for its crossing NPCs."""
     found: list[SlotRequest] = []
     for npc, instruction in enumerate(trace.scenario.crossings):
         if instruction is not None and instruction.act == "pass":
@@ -204,7 +204,7 @@ Worse = Literal["low", "high", "both", "neither"]
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure of the ego or of each NPC at each tick of a run. Calling it with a trace returns a fitness."""
+    """A measure of the ego or of each NPC at each tick of a run, which can be called as a fitness function."""
 
     name: str  # such as `ego.jerk`, or `npcs.ttc` for each NPC
     unit: str  # such as `m/s^3`; empty for a number
@@ -213,7 +213,7 @@ class Measure:
     function: Callable[[Trace], FloatArray]  # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
 
     def __call__(self, trace: Trace) -> float:
-        """Return the measure as a fitness between -1 and 1."""
+        """Return the run's worst value of the measure as a fitness between -1 and 1."""
         # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
         # values are worse cannot be a fitness.
         risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.function(trace))
@@ -222,7 +222,7 @@ class Measure:
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
-    """Return the index of the nearest NPC ahead in the ego's lane at each tick, or -1, shape [ticks + 1]."""
+    """Return, for each tick, the index of the nearest NPC ahead in the ego's lane, or -1."""
     encounters = encounters_of(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
@@ -231,7 +231,7 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
 
 
 def headway(trace: Trace) -> FloatArray:
-    """Return the time until the ego reaches the rear of its :func:`leader` [s], shape [ticks + 1]."""
+    """Return, for each tick, the time [s] until the ego reaches the rear of its :func:`leader`."""
     ahead, speed = leader(trace), trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
     seconds = np.full(len(ahead), np.inf)  # without a leader, or while the ego is stationary
@@ -240,14 +240,14 @@ def headway(trace: Trace) -> FloatArray:
 
 
 def jerk(trace: Trace) -> FloatArray:
-    """Return each vehicle's change of acceleration per second [m/s^3], shape [vehicles, ticks + 1]."""
+    """Return each vehicle's change in acceleration per second [m/s^3], as an array of shape [vehicles, ticks + 1]."""
     acceleration = trace.states[:, :, ACCELERATION].T
     # The acceleration is 0 at the first tick, so a vehicle that brakes from the start has a jerk at the second tick.
     return np.diff(acceleration, prepend=acceleration[:, :1]) * trace.physics_hz
 
 
 def lateral_acceleration(trace: Trace) -> FloatArray:
-    """Return each vehicle's speed times its turning rate [m/s^2], shape [vehicles, ticks + 1]."""
+    """Return the product of each vehicle's speed and turning rate [m/s^2], with shape [vehicles, ticks + 1]."""
     # This is the acceleration that pulls a passenger sideways in a steady turn. It ignores the slip, which jumps with
     # the steering angle in a kinematic model.
     heading = np.unwrap(trace.states[:, :, HEADING].T)
@@ -261,9 +261,10 @@ class EgoLaneChange:
 
     Attributes:
         tick: first tick in the new lane.
-        time: time of this tick [s].
+        time: time [s] of this tick.
         from_lane, to_lane: indices of the old and the new lane.
-        gap_ahead, gap_behind: gap along the road to the nearest NPC in the new lane [m], or inf. Side by side, it is 0.
+        gap_ahead, gap_behind: gap [m] along the road to the nearest NPC in the new lane, or inf. The gap to an NPC next
+            to the ego is 0.
     """
 
     tick: int
@@ -350,7 +351,7 @@ MEASURES = (
             "(Laureshyn and others 2010)",
             partial(_npcs, time_advantage)),
 )  # fmt: skip
-"""All measures, with the names of the corresponding attributes of a run."""
+"""All measures, each named after the attribute of a run that contains its values."""
 
 BY_NAME = {measure.name: measure for measure in MEASURES}
 
@@ -363,14 +364,14 @@ class Signals:
         self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
     def of(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
-        """Return the read-only values of a function of the trace, one value per tick.
+        """Return the read-only values of a function of the trace, one per tick.
 
         Args:
-            function: returns an array of shape [ticks + 1], or [NPCs, ticks + 1].
-            npc: index of the NPC for the second shape.
+            function: function that returns an array of shape [ticks + 1], or [NPCs, ticks + 1].
+            npc: index of an NPC, if the array has the second shape.
 
         Raises:
-            ValueError: if the shape or ``npc`` does not fit.
+            ValueError: if the array has a different shape, or ``npc`` does not match the shape.
         """
         values = self._values.get(function)  # each function of the trace is called only once
         if values is None:

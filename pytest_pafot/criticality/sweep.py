@@ -27,7 +27,7 @@ TINY = 1e-290  # avoids a division by zero [m/s], as in criticality/measures.py
 
 
 def is_in_use() -> bool:
-    """Return whether the pass is compiled and gives the same results as numpy's arrays."""
+    """Return whether the pass is compiled and computes the same results as numpy."""
     if __file__.endswith(".py"):  # it runs interpreted
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
@@ -42,7 +42,8 @@ def extremes(
 ) -> tuple[float, float, float] | None:
     """Return the smallest time to contact, the smallest gap and the largest safety shortfall of a run.
 
-    If it returns None, the caller must use numpy's arrays. ``road`` is the cosine and sine of the road's heading.
+    If the result is None, the caller must compute these values with numpy. ``road`` contains the cosine and sine of the
+    road's heading.
     """
     if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
         raise ValueError(

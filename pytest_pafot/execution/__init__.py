@@ -1,1 +1,1 @@
-"""Execution of scenarios: in this process, in other processes, on other machines."""
+"""Execution of scenarios in this process, in other processes or on other machines."""

@@ -1,7 +1,7 @@
 """Crash records, which name the scenario in which a process died.
 
-Each process writes the scenario to its own file before it runs it, and locks the file. The system releases the lock
-when the process ends, so a file without a lock belongs to a dead process.
+Before a process runs a scenario, it writes the scenario to its own file and locks the file. The system releases the
+lock when the process ends, so a file without a lock belongs to a dead process.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ class CrashRecordError(Exception):
         elif error.errno == errno.EPERM:
             advice = "delete that folder, or set TMPDIR to a folder that belongs to you"
         super().__init__(
-            f"{folder}: expected a folder that can be read and written, received this error: "
-            f"{error.strerror or error}. If this process crashes, no record will name the scenario; {advice}"
+            f"{folder}: expected a folder for crash records, but it cannot be used: {error.strerror or error} "
+            f"({advice}). If this process crashes, no record will name the scenario"
         )
 
 
 class CrashRecord:
-    """The record of the scenario that a process is running. Errors are stored in ``error``."""
+    """The record of the scenario that a process is running. ``error`` contains the error that prevents records."""
 
     def __init__(
         self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None, is_watched: bool = False
     ) -> None:
         """Prepare a record. Its file is created for the first scenario, so the record can be sent to another process.
 
-        ``is_watched`` is True if a session notices the end of the process.
+        ``is_watched`` is True if a session notices when the process ends.
         """
         self.error: CrashRecordError | None = None  # the error that prevents records, or None
         self._folder = folder
@@ -174,7 +174,7 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """Return the records of processes that died in a test, or an empty list if they cannot be read."""
+    """Return the records of processes that died during a test, or an empty list if they cannot be read."""
     try:
         return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
     except CrashRecordError:

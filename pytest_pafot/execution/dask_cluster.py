@@ -1,7 +1,7 @@
-"""Runs on the workers of a Dask scheduler, which can be on other machines.
+"""Runs of scenarios on Dask workers, which can be on other machines.
 
-Each worker runs scenarios in a child process. Only the main thread of a process can interrupt a decision that hangs,
-and Dask runs tasks in other threads. The child also protects the worker from an ADS that ends its process.
+Each worker runs scenarios in a child process, because only the main thread of a process can interrupt a decision that
+hangs, and Dask runs tasks in other threads. The child also protects the worker from an ADS that ends its process.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ Task = Scenario | Whole
 
 @contextmanager
 def connected(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
-    """Connect to a scheduler, and provide a function that creates pools of its workers.
+    """Connect to a Dask scheduler and yield a function that creates pools of its workers.
 
     ``tell`` receives a message if the scheduler has no worker yet.
 
     Raises:
-        ExecutionError: if Dask is not installed, or the scheduler does not answer within ``timeout`` [s].
+        ExecutionError: if Dask is missing, or if the scheduler does not respond within ``timeout`` [s].
     """
     try:
         from distributed import Client  # noqa: PLC0415  (an optional dependency)
@@ -76,7 +76,7 @@ class DaskPool:
     """A pool that runs scenarios on the workers of a cluster, like :class:`WorkerPool` in local processes.
 
     Raises:
-        ExecutionError: if the world or the ADS cannot be pickled, or if workers differ from this process.
+        ExecutionError: if the world or the ADS cannot be pickled, or if a worker has different package versions.
     """
 
     def __init__(self, executor: Executor, job: Job) -> None:
@@ -118,7 +118,7 @@ class DaskPool:
                 self.failure = _named(error)
 
     def fetch(self, task: Task) -> Answer:
-        """Wait for the answer to a scenario. It can be fetched only once."""
+        """Wait for the answer to a scenario. An answer can be fetched only once."""
         first: Exception | None = None
         while not self.failure:
             self.add_all([task])
@@ -184,7 +184,7 @@ def _lost(task: Task, error: Exception) -> LostRun:
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """A job as sent to workers. Parcels with the same digest are equal, even without content."""
+    """A job in the form that is sent to workers. Parcels with the same digest are equal, even without content."""
 
     digest: str
     content: bytes | None = field(compare=False)  # the pickled world and ADS factory
@@ -229,7 +229,7 @@ def _is_below(root: Path, module: ModuleType) -> bool:
 
 
 class _Call:
-    """An object that is replaced by the result of a call when it is unpickled."""
+    """An object that unpickling replaces with the result of a call."""
 
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._call = function, arguments
@@ -242,7 +242,7 @@ class _Call:
 
 
 def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str | None:
-    """Run a scenario in a worker. Return the answer, and the deaths of processes before a second attempt succeeded.
+    """Run a scenario in a worker. Return the answer, and the processes lost before a second attempt succeeded.
 
     Return the reason if the worker cannot run any scenario, or None if it needs the content of the parcel.
     """

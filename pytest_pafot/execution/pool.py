@@ -63,8 +63,8 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
     Args:
         task: the task.
-        pid: the id of the process; 0 for a worker on another machine.
-        how: a description of the end of the process, or its exit code.
+        pid: the id of the process, or 0 for a worker on another machine.
+        how: a description of how the process ended, or the exit code.
         is_hang: True if the process hung.
     """
 
@@ -96,22 +96,22 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
 @dataclass(eq=False)
 class WorkerPool(Generic[TaskT, ResultT]):
-    """A pool of up to ``size`` processes, which start on demand. Use it in a ``with`` statement.
+    """A pool of up to ``size`` processes, which start on demand. Use the pool in a ``with`` statement.
 
     The answer to a task is its result or an exception. A ``ProcessLostError`` means that the process died or hung.
 
     Args:
-        work: the function that runs a task. Tasks and results must be picklable, and ``work`` too if processes are not
-            forked.
+        work: the function that runs a task. Tasks and results must be picklable. If processes are not forked, ``work``
+            must be picklable, too.
         size: the largest number of processes.
-        method: the start method of processes, see :mod:`multiprocessing`.
-        patience: the longest time in which a process must answer a signal before it is killed [s].
-        grace: the additional time for a decision that ignores its interrupt [s].
-        idle: the time after which an idle process ends [s], or None.
-        ended: a function that is called with the id of each process that has ended.
-        leave: a function that each process calls before it ends, unless it has to be killed; or None.
-        left: a function that is called with the result of ``leave``.
-        farewell: the time in which a process can end normally [s].
+        method: the start method of the processes, as in :mod:`multiprocessing`.
+        patience: the time [s] after which a process that does not answer a signal is killed.
+        grace: the additional time [s] for a decision that ignores its interrupt.
+        idle: the time [s] after which an idle process ends, or None.
+        ended: a function to call with the id of each process that has ended.
+        leave: a function that each process calls before it ends, unless it is killed; or None.
+        left: a function to call with the result of ``leave``.
+        farewell: the time [s] in which a process can end normally.
         clock: a monotonic clock [s].
     """
 
@@ -150,7 +150,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Start these tasks in this order, and drop earlier tasks that were not fetched."""
+        """Start these tasks in order, and drop earlier tasks whose answers were not fetched."""
         self._pending, self._wanted, self._followed = deque(), set(), set()
         self._said, self._answers, self._suspects = deque(), {}, {}
         self.add_all(tasks)
@@ -169,17 +169,17 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._send()
 
     def follow(self, task: TaskT) -> None:
-        """Add a task whose messages :meth:`hear` returns before the answer."""
+        """Add a task, so that :meth:`hear` returns its messages and then its answer."""
         self._followed.add(task)
         self.add_all([task])
 
     def hear(self, *, waits: bool) -> tuple[TaskT, Any] | None:
-        """Return the next message or the answer of a followed task, with the task.
+        """Return a followed task with its next message or its answer.
 
-        Without ``waits``, return None if there is nothing yet.
+        If ``waits`` is false, return None if there is no message yet.
 
         Raises:
-            OutOfTime: if the time of the search has run out. All processes are ended.
+            OutOfTime: if the search has run out of time. All processes have then ended.
         """
         while waits and not self._said:
             self._receive()
@@ -187,10 +187,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return self._said.popleft() if self._said else None
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
-        """Wait for the answer to a task. It can be fetched only once.
+        """Wait for the answer to a task. An answer can be fetched only once.
 
         Raises:
-            OutOfTime: if the time of the search has run out. All processes are ended.
+            OutOfTime: if the search has run out of time. All processes have then ended.
         """
         # A process may be killed because all processes together use too much memory, so its task is tried again while
         # no other one runs. Any other death counts only if a second process dies as well.
@@ -225,7 +225,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 yield task, answer
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes. Idle ones are killed only with ``at_once``."""
+        """End all processes. Idle processes are killed only if ``at_once`` is set."""
         has_leave = self.leave is not None
         ending = [each for each in self._workers if (has_leave or not at_once) and each.leaves(interrupted=has_leave)]
         # All processes share one deadline, so the end of the pool does not take longer with more processes.
@@ -407,7 +407,7 @@ class _Worker(Generic[TaskT]):
         return bool(self._beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
-        """Send a task to the process. Return False if the process has ended."""
+        # The result is False if the process has ended.
         self._asked_at = None if self.has_begun else now
         self.task = task if self.send(task) else None
         return self.task is not None
@@ -420,7 +420,7 @@ class _Worker(Generic[TaskT]):
         return True
 
     def leaves(self, *, interrupted: bool) -> bool:
-        """Ask the process to end. Return False if it must not be interrupted or has already ended."""
+        # Ask the process to end. The result is False if it must not be interrupted or has already ended.
         if self.task is not None and not interrupted:
             return False
         is_asked = self.send(None)
@@ -429,7 +429,7 @@ class _Worker(Generic[TaskT]):
         return is_asked
 
     def farewell(self, deadline: float, clock: Callable[[], float]) -> _Left | None:
-        """Return the last message of the process, or None."""
+        # The last message of the process, or None.
         while self.connection.readable and self.connection.poll(max(0.0, deadline - clock())):
             heard = self.hear()
             if heard is None or isinstance(heard[1], _Left):
@@ -437,7 +437,7 @@ class _Worker(Generic[TaskT]):
         return None
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Return (True, result), (False, message), or None if the process has ended."""
+        # (True, result), (False, message), or None if the process has ended.
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
@@ -450,7 +450,7 @@ class _Worker(Generic[TaskT]):
         return is_done, said
 
     def silence(self, now: float) -> float:
-        """Return the time for which the process has not answered a signal [s]."""
+        # The time [s] for which the process has not answered a signal.
         if self._beats.value != self._heard:
             self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
@@ -468,7 +468,7 @@ class _Left(NamedTuple):
 
 
 def ending(code: int | None) -> str:
-    """Return a description such as ``was ended by SIGKILL``."""
+    """Describe how a process with this exit code ended, such as ``was ended by SIGKILL``."""
     if code is not None and code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
@@ -476,7 +476,7 @@ def ending(code: int | None) -> str:
 
 
 def _end_children(pid: int) -> list[int]:
-    """Kill all descendants of a process, which must still exist, and return their ids."""
+    # Kill all descendants of a process, which must still exist, and return their ids.
     ended: list[int] = []
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
@@ -491,9 +491,10 @@ def _end_children(pid: int) -> list[int]:
 
 
 def _end_with_session(patience: float | None) -> None:
-    """Make this process end with the session, regardless of policies and their threads.
+    """Make this process end when the session ends, regardless of policies and their threads.
 
-    With a ``patience`` of None, Linux kills it immediately. Otherwise it is interrupted, and ended after that time [s].
+    If ``patience`` is None, Linux kills the process immediately. Otherwise, the process is interrupted, and ended after
+    ``patience`` [s].
     """
     session: Any = multiprocessing.parent_process()
     main, pid = threading.get_ident(), os.getpid()
@@ -538,7 +539,7 @@ def _serve(
     leave: Callable[[], Any] | None,
     patience: float | None,
 ) -> None:
-    """Run tasks in a process of the pool until the pool or the session ends."""
+    # Run tasks in a process of the pool until the pool or the session ends.
     _end_with_session(patience)
     is_leaving = may_raise = in_task = False
 
@@ -633,7 +634,7 @@ def _sendable(result: object) -> bytes:
 
 
 def _portable(error: BaseException) -> Exception:
-    """Return an error that can be pickled, with its traceback as a note."""
+    # Convert an error to an error that can be pickled, with the traceback as a note.
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded
     try:

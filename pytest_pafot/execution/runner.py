@@ -1,6 +1,6 @@
 """The runners of scenarios: :class:`Here` uses this process, :class:`Apart` uses others.
 
-The choice affects only the time of a search, not its results.
+The choice affects how long a search takes, but not its results.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from pytest_pafot.world.simulator_world import SimulatorWorld
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """The output of code in another process."""
+    """The captured output of code, which another process can repeat."""
 
     out: str = ""
     err: str = ""
@@ -79,7 +79,7 @@ class CapturedOutput:
 
 @contextmanager
 def capture_output() -> Iterator[CapturedOutput]:
-    """Capture the output of the code in the ``with`` block. It is complete when the block ends."""
+    """Capture the output of the ``with`` block. The output is complete when the block ends."""
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
@@ -106,7 +106,7 @@ class _Stream(io.TextIOWrapper):
         super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
 
     def close(self) -> None:
-        """Stay open, because code can close a standard stream."""
+        """Ignore the call, because the captured code can close its standard streams."""
 
     @property
     def text(self) -> str:
@@ -119,7 +119,7 @@ METHOD = START_METHOD
 
 
 def forks() -> bool:
-    """Return whether processes are forked, and so have all objects of this process."""
+    """Return whether processes are forked, so that they have all objects of this process."""
     return METHOD == "fork"
 
 
@@ -151,7 +151,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A task for a process that runs a scenario with a method of the world, and sends the complete trace."""
+    """A task for a process that runs a scenario with a method of the world and sends the complete trace."""
 
     scenario: Scenario
     method: str = "rollout"
@@ -194,7 +194,7 @@ class Job:
 
     @property
     def patience(self) -> float:
-        """The longest time in which a process must answer during a run [s]."""
+        """The time [s] within which a process must answer during a run."""
         return self.world.hang_limit + GRACE
 
     @property
@@ -207,7 +207,7 @@ class Job:
     def run(
         made: Callable[[], Job], scenario: Scenario, method: str = "rollout"
     ) -> tuple[Trace, CapturedOutput, float]:
-        """Run a scenario of the job that ``made`` returns. Return trace, captured output and duration [s]."""
+        """Run a scenario of the job that ``made`` returns. Return the trace, the output and the duration [s]."""
         with capture_output() as output:
             job = made()
             started = monotonic()
@@ -216,7 +216,7 @@ class Job:
         return trace, output, seconds
 
     def driving(self, drive: str | RunScenario) -> RunScenario:
-        """Wrap a function, or the method of the world with a name, so that it runs with seeded global generators."""
+        """Wrap a function, or a method of the world, so that it runs with seeded global random generators."""
         return partial(GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive)
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
@@ -240,7 +240,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
                 "expected an ADS factory that can be pickled, because processes cannot be forked here, received one "
-                f"that raises {type(error).__name__}: {error}. Use a class or function of a module that can be imported"
+                f"that raises {type(error).__name__}: {error}. Use a class or a function from an importable module"
             ) from None
     grace = min(IGNORED, GRACE)
     return WorkerPool(
@@ -296,7 +296,7 @@ def _forget(job: Job, pid: int) -> None:
 
 
 def made_from(answer: Answer) -> Any:
-    """Return the result of an answer and repeat its output, or return None if this process must run the scenario.
+    """Return an answer's result and repeat its output, or return None if this process must run the scenario.
 
     Raises:
         ProcessLostError: if the process died or hung.
@@ -312,10 +312,10 @@ def made_from(answer: Answer) -> Any:
 
 
 def made_apart(answer: Answer) -> Any:
-    """Return the result of an answer for a policy that must not run in this process.
+    """Return an answer's result, for a policy that must not run in this process.
 
     Raises:
-        Exception: the exception of the other process.
+        Exception: any exception of the other process.
     """
     __tracebackhide__ = True
     made = made_from(answer)
@@ -391,11 +391,11 @@ class Here:
         Args:
             scenario: the scenario to run.
             drive: the name of a method of the world, or a function, that runs a scenario.
-            most: the number of decisions after which the run may end with an error of the ADS.
+            most: the number of decisions after which the run can be ended with an error.
 
         Raises:
-            ProcessLostError: if the run was in another process, which died or hung.
-            ExecutionError: if the run needs another process, and none can be started.
+            ProcessLostError: if another process ran the scenario, and died or hung.
+            ExecutionError: if the run needs another process, but none can be started.
             Exception: any exception of the world or the factory.
         """
         __tracebackhide__ = True
@@ -408,7 +408,7 @@ class Here:
     def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
         """Yield the result of each scenario in order: the value of ``Job.read``, a trace, or a ``ProcessLostError``.
 
-        ``skips`` is called when it is a scenario's turn. If it returns True, the scenario is not run after all.
+        ``skips`` is called just before each scenario runs. If it returns True, the scenario is skipped.
         """
         __tracebackhide__ = True
         for scenario in filterfalse(skips, scenarios):
@@ -417,7 +417,7 @@ class Here:
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce scenarios for :meth:`once`, which other processes can run in advance.
 
-        Earlier ones that were not requested are dropped, unless ``more`` is set.
+        Scenarios that were announced earlier but not requested are dropped, unless ``more`` is set.
         """
 
     @property
@@ -431,7 +431,7 @@ class Here:
 
     @property
     def run_seconds(self) -> float:
-        """The mean duration of the runs so far, without the first one [s]; 0 if it is not known."""
+        """The mean duration [s] of the runs so far, excluding the first run, or 0 if it is unknown."""
         return 0.0
 
     def _once(self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None) -> Any:
@@ -564,7 +564,7 @@ class Apart(Here):
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
-        return [f"{option}: not used, because a run took {mean:.1f} ms, and workers pay off from {dear:g} ms per run"]
+        return [f"{option} was not used, because a run took {mean:.1f} ms. Workers pay off from {dear:g} ms per run"]
 
     @property
     def in_use(self) -> int:
@@ -599,7 +599,7 @@ class Apart(Here):
         return [*self.recovered, *([] if self._pool is None else self._pool.recovered)]
 
     def _collect(self, task: Scenario | Whole) -> Any:
-        """Return the result of another process, or None if this process must run the scenario."""
+        # The result of another process, or None if this process must run the scenario.
         __tracebackhide__ = True
         if self._is_only:
             self._expected.pop(task, None)
@@ -628,7 +628,7 @@ class Apart(Here):
             raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer: Answer = pool.fetch(task)
         if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected processes that run the ADS, received: {pool.failure}")
+            raise ExecutionError(f"{flag('isolate')}: expected a process for the ADS, but it failed: {pool.failure}")
         # A package may be missing on another machine. This must not be taken for an error of the ADS.
         is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
         if is_raised and self.is_elsewhere and own is None:
@@ -668,10 +668,10 @@ class Apart(Here):
 
 
 def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object]) -> Trace:
-    """Run a scenario in a separate process, which also evaluates the run if it is forked. Return the trace.
+    """Run a scenario in a separate process, which also evaluates the run if it was forked. Return the trace.
 
     Raises:
-        ProcessLostError: if the process died or hung, even if a second one did not.
+        ProcessLostError: if the process died or hung, even if a second process did not.
         Exception: as for :meth:`Here.once`.
     """
     __tracebackhide__ = True

@@ -1,4 +1,4 @@
-"""CommonRoad XML: lanes become lanelets, and every vehicle becomes an obstacle with its trajectory."""
+"""CommonRoad XML, in which lanes become lanelets and every vehicle becomes an obstacle with a trajectory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NO_DATE = b"2000-01-01"  # replaces today's date, so that equal runs give equal 
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return a CommonRoad file with a time step per tick, and the ego's trajectory as its planning problem."""
+    """Return a CommonRoad file with a time step per tick. Its planning problem has the ego's start and last tick."""
     scenario = Scenario(trace.dt)
     lanelets = []
     for number, lane in enumerate(trace.lanes, FIRST_LANELET):

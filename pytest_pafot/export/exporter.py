@@ -26,9 +26,9 @@ from pytest_pafot.world.codec import of_named
 
 
 def states_of(trace: Trace) -> FloatArray:
-    """Return the states of a trace with x ahead, y to the left and headings anticlockwise.
+    """Return a trace's states, converted to x ahead, y to the left and anticlockwise headings.
 
-    The columns are those of the trace, shape [ticks + 1, vehicles, 7].
+    The shape and the columns are those of ``trace.states``.
     """
     states = trace.states.copy()
     states[..., [Y, HEADING, STEERING]] *= -1
@@ -36,7 +36,7 @@ def states_of(trace: Trace) -> FloatArray:
 
 
 def centre_line(lane: Lane) -> FloatArray:
-    """Return the points of a lane's centre line [m], with y to the left; shape [points, 2]."""
+    """Return the points [m] of a lane's centre line, with y to the left, as an array of shape [points, 2]."""
     # A straight lane has two points.
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
@@ -50,7 +50,7 @@ def centre_line(lane: Lane) -> FloatArray:
 
 
 def tangents(line: FloatArray) -> FloatArray:
-    """Return the unit tangents of a line at its points, by second-order differences; shape [points, 2]."""
+    """Return a line's unit tangents, from second-order differences, as an array of shape [points, 2]."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     slopes: FloatArray = np.gradient(line, along, axis=0, edge_order=2 if len(line) > 2 else 1)
     unit: FloatArray = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
@@ -58,14 +58,14 @@ def tangents(line: FloatArray) -> FloatArray:
 
 
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a lane's left and right edges [m], with y to the left; shape [points, 2] each."""
+    """Return the points [m] of a lane's left and right edges, with y to the left, as arrays of shape [points, 2]."""
     line = centre_line(lane)
     left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
     return line + left, line - left
 
 
 def name_of(vehicle: int) -> str:
-    """Return a vehicle's name in files: ``ego``, or ``npc0`` for NPC 0 of the scenario."""
+    """Return a vehicle's name in exported files: ``ego``, or ``npc0`` for NPC 0 of the scenario."""
     return f"npc{vehicle - 1}" if vehicle else "ego"
 
 
@@ -90,7 +90,7 @@ class Exporter(Protocol):
     """The type of a function that exports the run of a finding to files."""
 
     def __call__(self, finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-        """Return the content of each file by name, without writing it. The names start with the finding's id."""
+        """Return the content of each file by name, without writing any file. All names start with the finding's id."""
 
 
 class ExportError(FieldError):
@@ -98,10 +98,10 @@ class ExportError(FieldError):
 
 
 def exporter(name: str) -> Exporter:
-    """Return the exporter for the name of a format.
+    """Return the exporter for a format.
 
     Raises:
-        ExportError: if the name is unknown, or a library is missing.
+        ExportError: if the format is unknown or a library is missing.
     """
     if name not in FORMATS:
         raise ExportError(field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name))
@@ -122,11 +122,11 @@ def exporter(name: str) -> Exporter:
 
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
-"""The columns [s, m, rad, m/s, m/s^2]. Lanes are numbered from 0 at the left; -1 is off the road."""
+"""The columns, in units of s, m and rad. Lanes are numbered from 0 at the left; -1 means off the road."""
 
 
 def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return a CSV file with all digits of the numbers, so that reading it gives exactly the same states."""
+    """Return a CSV file whose numbers have all digits, so that reading the file restores the exact states."""
     rows = (
         [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
         for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)

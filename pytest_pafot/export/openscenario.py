@@ -21,7 +21,7 @@ NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs giv
 
 
 def road_file(name: str, trace: Trace) -> bytes:
-    """Return an OpenDRIVE file: one road if all lanes are straight and adjacent, otherwise a road for each lane."""
+    """Return an OpenDRIVE file with a single road if all lanes are straight and adjacent, or else a road per lane."""
     drive = xodr.OpenDrive(name)
     for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
         # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
@@ -53,14 +53,14 @@ def _are_one(lanes: Sequence[Lane]) -> bool:
 
 
 def text_of(element: ElementTree.Element) -> bytes:
-    """Return an XML tree as the content of a file."""
+    """Return the content of an XML file with this root element."""
     ElementTree.indent(element)
     content: bytes = ElementTree.tostring(element, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
 
 
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
-    """Yield the pieces of a lane's centre line, each with its start [m] and its heading at the start [rad]."""
+    # The pieces of a lane's centre line, each with its starting point [m] and its initial heading [rad].
     line = centre_line(lane)
     if not lane.points:
         yield xodr.Line(lane.length), line[0], -lane.heading
@@ -92,7 +92,7 @@ ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
 
 
 def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
-    """Return an OpenSCENARIO file of version 1.2, or of another minor version, and its OpenDRIVE file."""
+    """Return an OpenSCENARIO file of version 1.2, or of the minor version ``minor``, and its OpenDRIVE file."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0, minor))
@@ -130,7 +130,7 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
 
 
 def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return the files in OpenSCENARIO 1.0, which CARLA's scenario_runner requires."""
+    """Return the files in OpenSCENARIO 1.0, the version that CARLA's scenario_runner requires."""
     return export(finding, trace, 0)
 
 

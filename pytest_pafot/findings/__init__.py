@@ -1,1 +1,1 @@
-"""Findings: identity of failures, replays, severity and shrinking."""
+"""Findings, with their identity, severity, replays and shrinking."""

@@ -1,4 +1,4 @@
-"""The decision of an ADS that could have avoided a failure."""
+"""The last decision with which an ADS could have avoided a failure."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ class Moment:
     @property
     def brief(self) -> str:
         """The decision in one sentence, with the smallest change of the NPC that alters it."""
-        at = f"At {self.time:.1f} s"
+        at = f"At {self.time:.1f} s,"
         if self.reference:
-            first = f"{at}, in the first decision that differs, the policy chose {self.action}"
+            first = f"{at} in the first decision that differs, the policy chose {self.action}"
             return f"{first}, and the reference {self.reference}."
-        saw = f"saw NPC {self.npc} {self.seen}, and " if self.seen else ""
+        saw = f"saw NPC {self.npc} ({self.seen}) and " if self.seen else ""
         was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
         otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
         return f"{at} {was}the policy {saw}chose {self.action}{otherwise}."
@@ -83,7 +83,7 @@ class Moment:
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:
-    """Return the NPC that a failure is about, or None."""
+    """Return the index of the NPC involved in a failure, or None."""
     if run.collision is not None and expect.check is None:
         return run.collision.npc  # None for a fixed object
     if expect.npc is not None or expect.check is None:
@@ -116,7 +116,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
 
 
 def moved_over(run: Run) -> int | None:
-    """Return the index of the decision that started the lane change of an ego at fault, or None."""
+    """Return the index of the decision that started a lane change for which the ego is at fault, or None."""
     trace, attribution = run.trace, run.attribution
     if attribution.fault != "entered-lane" or not trace.decision_ticks:
         return None
@@ -137,7 +137,7 @@ def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
 
 
 def deed_of(run: Run, sentences: Sequence[str]) -> str:
-    """Return the sentence on what the ego did wrong, or an empty string if the ego is not at fault."""
+    """Return the sentence about what the ego did wrong, or an empty string if the ego is not at fault."""
     if run.responsibility not in ("ego", "both") or len(sentences) < 2:  # a fixed object has only the last sentence
         return ""
     return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
@@ -189,7 +189,7 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
 
 
 def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
-    """Describe a position and a speed relative to the ego."""
+    """Describe a vehicle's position and speed relative to the ego."""
     # `ahead` and `right` are between the centres [m], and `faster` is in m/s. Each of the two boxes is a heading [rad],
     # a length and a width [m]. As in a verdict, the gap is between the boxes.
     gap = abs(ahead)
@@ -227,7 +227,7 @@ def _plain(action: Any) -> Any:
 
 
 def text_of_any(action: Any) -> str:
-    """Format an action with three digits per number."""
+    """Format an action, with three significant digits for each number."""
     plain = _plain(action)
     if isinstance(plain, float):
         return f"{plain:.3g}"
@@ -251,19 +251,19 @@ def _lane_of(action: Any, otherwise: float | None) -> Any:
 
 
 def is_si(action: Any) -> bool:
-    """Return whether an action is (acceleration, steering) in SI units."""
+    """Return whether an action is a tuple (acceleration, steering) in SI units."""
     return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
 
 
 def parts_of(action: Any) -> dict[str, Any]:
-    """Return the parts of a planner's action by name."""
+    """Return the parts of a planner's action as a dict."""
     if is_si(action):
         return dict(zip(("acceleration", "steering"), action, strict=True))
     return {field.name: getattr(action, field.name) for field in fields(action)}
 
 
 def differing_parts(action: Any, other: Any) -> list[str]:
-    """Return the names of the parts in which an action differs from another one."""
+    """Return the names of the parts in which two actions differ."""
     parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
         defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}

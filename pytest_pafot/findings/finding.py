@@ -1,4 +1,4 @@
-"""Findings as stored in the corpus, and the meaning of their replays."""
+"""Findings as stored in the corpus, and rules for interpreting their replays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side, Trace, first_difference
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
-from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import capitalised, visible
 
 # Everything that differs between processes is removed from error messages, so that equal seeds write equal files.
@@ -55,7 +55,7 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 
 def portable(text: str, root: str = "") -> str:
-    """Replace everything in a text that differs between processes or checkouts."""
+    """Replace the parts of a string that differ between processes or checkouts."""
     if root:  # paths become relative to the project, or below to the folder of installed packages
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
@@ -76,11 +76,12 @@ ENOUGH = 3
 
 # Ids are part of file names and node ids on every platform.
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
+ID_RULE = "1 to 120 ASCII letters, digits, '_', '-' and '.', with no '-' or '.' at the start and no '.' at the end"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounded:
-    """The value and the bounds of a failed check [unit]."""
+    """The value and the bounds of a failed check, in the check's unit."""
 
     value: float | None = None  # None if it was not a finite number, or if its magnitude was above a billion
     at_most: float | None = None
@@ -90,7 +91,7 @@ class Bounded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expect:
-    """The result that the scenario gives until the failure is fixed.
+    """The result that a saved scenario gives until its failure is fixed.
 
     Attributes:
         failure: name of the exception class; `ProcessCrash` if the process died or hung.
@@ -98,21 +99,22 @@ class Expect:
         check: value and bounds of the failed check, or None.
         message: first line of the exception's message; empty if ``assertion`` already states it.
         outcome: how the run ended.
-        time: time of the failed check, or else of the run's most important event [s].
+        time: time [s] of the failed check, or else of the run's most important event.
         npc, cell: the NPC and its cell at the collision, or else at the smallest time to contact. For a failed check,
             the NPC that the check names.
         zone: zone in which the NPC crossed, such as ``crossing from the left``.
         side: side of the ego that was hit.
-        closing_speed: closing speed of the collision [m/s]; None if it is unknown.
-        situation: situation from which the failure arose, or None. Only a replay in which it occurs can show a fix.
+        closing_speed: closing speed [m/s] of the collision, or None if unknown.
+        situation: situation from which the failure arose, or None. A replay in which it does not occur
+            shows no fix.
         responsibility: who is responsible for the collision.
         fault: rule that the ego broke.
         mistake: what the ego did wrong, for the fault ``entered-lane``.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
         takeover: latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if no takeover
-            in the last 3 s does, None if it is unknown.
-        against: the reference that passed the scenario, such as ``module:factory``, or empty.
-        traceback: traceback of the ADS's exception.
+            in the last 3 s avoids it, None if unknown.
+        against: the reference that passed the scenario, such as ``module:factory``; empty if there was none.
+        traceback: traceback of the ADS's exception, or empty.
     """
 
     failure: str
@@ -163,7 +165,7 @@ class Expect:
         return capitalised(impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed))
 
     def is_of(self, run: Run) -> bool:
-        """Return whether a run has the collision of this finding."""
+        """Return whether a run contains this finding's collision, at the same time with the same NPC."""
         hit = run.collision
         return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
@@ -229,12 +231,12 @@ class Found:
 
     Attributes:
         seed: seed of the search, which depends on the base seed and the test, and cannot be passed to ``--pafot-seed``.
-        generation: generation in which the search found the failure, from 0.
+        generation: generation in which the search found the failure, counted from 0.
         algorithm: name of the search algorithm, or ``crash`` for a crash record.
         policy: name of the policy; None if it is unknown.
-        worst_closing_speed: highest closing speed of the same failure in that search [m/s]; None without a
+        worst_closing_speed: highest closing speed [m/s] of the same failure in that search; None without a
             collision.
-        versions: versions of the packages that the run depends on.
+        versions: versions of the packages on which the run depends.
     """
 
     seed: int
@@ -261,7 +263,7 @@ class FailureRate:
 
 
 def with_other_seed(scenario: Scenario, number: int) -> Scenario:
-    """Return a scenario with another seed; number 0 is the scenario itself."""
+    """Return a scenario with a different seed, or the scenario itself for the number 0."""
     return replace(scenario, seed=(scenario.seed + number) % (MAX_SEED + 1))
 
 
@@ -276,14 +278,14 @@ class Finding:
         world: the world in which the scenario fails, as JSON-compatible data.
         expect: the result that the scenario gives until the failure is fixed.
         found: the origin of the finding.
-        perception: limits and errors of the ADS's perception; None without any.
+        perception: limits and errors of the ADS's perception; None if it is perfect.
         shrunk: the result of shrinking, or None.
-        rate: number of runs of the scenario that fail, if the policy draws random numbers or the scenario is flaky;
+        rate: how many runs of the scenario fail, if the policy draws random numbers or the scenario is flaky;
             otherwise None.
         flaky: difference between two runs of the scenario, or None. A flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted, or None.
-        trace: trace of the run that shows the failure, if a search in this process recorded it.
+        trace: trace of the failing run, if a search in this process recorded it; otherwise None.
     """
 
     id: str
@@ -302,7 +304,7 @@ class Finding:
 
     def __post_init__(self) -> None:
         if not is_id(self.id):
-            raise ValueError(f"id: expected at most 120 letters, digits, '.', '_' and '-', received {self.id!r}")
+            raise ValueError(f"id: expected {ID_RULE}, received {self.id!r}")
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
@@ -312,35 +314,35 @@ class Finding:
 
     @property
     def longest_run(self) -> float:
-        """The duration of a run in the finding's world [s], or infinity if it is unknown."""
+        """The longest duration [s] of a run in the finding's world, or infinity if it is unknown."""
         seconds = plain_number(self.world.get("duration"))
         return math.inf if seconds is None else seconds
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure, as far as the file determines it."""
+        """The identity of the failure, as far as the corpus file determines it."""
         return self.expect.signature
 
     @property
     def drawn(self) -> str:
-        """The noun for the runs of the rate: ``seeds`` if each has another seed, otherwise ``runs``."""
+        """The noun for the rate: ``seeds`` if each run has a different seed, otherwise ``runs``."""
         return "seeds" if self.flaky is None else "runs"
 
     @property
     def on_rate(self) -> str:
-        """The rate in words, or an empty string."""
+        """The failure rate in words, or an empty string if none was measured."""
         if self.rate is None:
             return ""
         other = "other " if self.flaky is None else ""
-        return f"fails in {self.rate} {other}{self.drawn}"
+        return f"it fails {'in' if self.flaky else 'with'} {self.rate} {other}{self.drawn}"
 
     @property
     def accepted(self) -> str:
-        """The reason and the last day of the acceptance, or an empty string."""
+        """The reason for accepting the failure and the last day of acceptance, or an empty string."""
         return "" if self.xfail is None else f"{self.xfail}, until {self.xfail_until}"
 
     def accepting(self, reason: str | None, until: date | None) -> Finding:
-        """Return the finding with another reason and last day of acceptance."""
+        """Return a copy of the finding with this reason for acceptance and this last day."""
         return replace(self, xfail=reason, xfail_until=until)
 
     def is_accepted(self, today: date) -> bool:
@@ -349,12 +351,12 @@ class Finding:
 
     @property
     def worst_known(self) -> float:
-        """The highest known closing speed of this failure [m/s], or infinity."""
+        """The highest known closing speed [m/s] of this failure, or infinity if none is known."""
         speeds = (self.expect.closing_speed, self.found.worst_closing_speed)
         return max((each for each in speeds if each is not None), default=math.inf)
 
     def with_sight(self, line: str) -> str:
-        """Add the imperfect perception, if any, to a line on the failure."""
+        """Add the limits of perception, if there are any, to a line about the failure."""
         return line if self.perception is None else f"{line}, found with {self.perception.described}"
 
     @classmethod
@@ -380,7 +382,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The time of a failure [s], and the NPC involved, with its cell or zone."""
+    """The time [s] of a failure, and the NPC involved, with its cell or zone."""
 
     time: float
     npc: int | None = None
@@ -389,7 +391,7 @@ class FailureEvent:
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
-    """Return the event of a failed check, or else the event of the run."""
+    """Return the event of a failed check, or else the run's most important event."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
@@ -409,7 +411,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def of_failure(run: Run, failure: Failure) -> Signature:
-    """Return the signature of a run that failed."""
+    """Return the signature of a run's failure."""
     return replace(Expect.of(run, failure), mistake=run.attribution.mistake).signature
 
 
@@ -419,7 +421,7 @@ def is_id(text: str) -> bool:
 
 
 def ads_failure(run: Run) -> Failure | None:
-    """Return the failure of the ADS itself, or None."""
+    """Return the failure of the ADS itself, or None if the ADS did not fail."""
     # An ADS fails if it raises, returns an invalid action or hangs, regardless of the test function.
     error = run.ads_error
     if error is None:
@@ -428,7 +430,7 @@ def ads_failure(run: Run) -> Failure | None:
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
-    """Return the failure for an exception of a test function."""
+    """Return the failure for an exception that a test function raised."""
     # `test_file` is the path in code objects.
     if isinstance(exception, CheckFailed):
         check = exception.check
@@ -455,24 +457,23 @@ def message_of(exception: BaseException) -> str:
 
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
-    """Raise a ValueError that names the position of data that a file cannot store."""
+    """Raise a ValueError if a corpus file cannot store a value. The message names the unsuitable part."""
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
         return
     if depth >= MAX_DEPTH:
-        raise ValueError(f"{name}: expected at most {MAX_DEPTH} levels of nesting, received more")
+        raise FieldError(field=name, expected=f"at most {MAX_DEPTH} levels of nesting", received="more")
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if not isinstance(key, str) or len(key) > MAX_KEY:
-                raise ValueError(f"{name}: expected string keys of at most {MAX_KEY} characters, received {key!r:.80}")
+                expected = f"strings of at most {MAX_KEY} characters as keys"
+                raise FieldError(field=name, expected=expected, received=f"the key {key!r:.80}")
             check_plain(f"{name}.{key}", inner, depth + 1)
     elif isinstance(value, list):
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
-        raise ValueError(
-            f"{name}: expected null, true, false, a number, a string, a list or a mapping, "
-            f"received {type(value).__name__} {value!r:.60}. Convert it to one of these"
-        )
+        expected, fix = "null, a Boolean, a number but not NaN, a string, a list or a mapping", "convert the value"
+        raise FieldError(field=name, expected=expected, received=f"the {type(value).__name__} {value!r:.60}", fix=fix)
 
 
 def _portable_line(failure: Failure, root: str) -> str:
@@ -512,7 +513,7 @@ HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outco
 
 
 def handles(finding: Finding, run: Run) -> bool:
-    """Return whether a passing run handled the saved situation."""
+    """Return whether the policy handled the saved situation in a run that passed."""
     expect = finding.expect
     if expect.is_crash:  # The process survived, whatever the run shows.
         return True
@@ -531,7 +532,7 @@ def handles(finding: Finding, run: Run) -> bool:
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a passing run did not handle the saved situation; empty if it did, or if that is unknown."""
+    """Return why a run that passed did not handle the saved situation, or an empty string."""
     expect, hit, ended = finding.expect, run.collision, run.trace.ended
     if ended and not run.trace.users_error_text and run.duration < expect.time:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
@@ -544,7 +545,10 @@ def unhandled(finding: Finding, run: Run) -> str:
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
-    """Return whether a run shows the event of a file, at most 0.2 s earlier or later."""
+    """Return whether a run contains the saved event.
+
+    The time can differ by 0.2 s. A collision that is the run's ``failure`` can be at any time.
+    """
     if failure is not None and failure.kind != expect.failure:
         return False
     now, side = event_of(run, failure), None if run.collision is None else run.collision.side
@@ -558,12 +562,12 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
-    """Return whether a run fails as a file states, at any time."""
+    """Return whether a run fails in the same way as the saved scenario, at any time."""
     return of_failure(run, failure) == finding.signature
 
 
 def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
-    """Describe how a failure differs from the accepted one, or return an empty string."""
+    """Describe how a failure differs from the accepted failure, or return an empty string."""
     # The time, the cell and the responsible vehicle can differ.
     then, now, hit = finding.signature, of_failure(run, failure), run.collision
     if now.failure != then.failure:
@@ -582,19 +586,19 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
 
 
 def is_faster(severity: Severity | None, known: float) -> bool:
-    """Return whether a collision is faster than the acceptance of a collision allows."""
+    """Return whether a collision's closing speed is above the limit for an accepted collision."""
     return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
 
 
 def speed_of(severity: Severity | None) -> float | None:
-    """Return the closing speed of a failure, rounded as in a file [m/s], or None."""
+    """Return a failure's closing speed [m/s], rounded as in corpus files, or None."""
     if severity is None or severity.kind != "collision" or severity.value is None:
         return None
     return round(severity.value, 3)
 
 
 def has_time(run: Run, failure: Failure) -> bool:
-    """Return whether a failure occurs at a certain time."""
+    """Return whether a failure occurs at a specific time."""
     # A check without a time, or an assertion on a measure, may be about the complete run, such as the distance driven.
     # It cannot be evaluated in a run that continues.
     check = failure.check

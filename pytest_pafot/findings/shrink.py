@@ -60,7 +60,7 @@ class Likely(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """An announcement of the next candidates, which can run in advance. It needs no answer."""
+    """An announcement of the next candidates, which can run in advance. It requires no response."""
 
     candidates: Sequence[Scenario]
     more: bool  # False if earlier candidates that were not attempted will not be needed
@@ -105,7 +105,7 @@ class Shrunk:
     Attributes:
         rollouts: number of runs used.
         is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The
-            candidates are single steps of the passes, small scenarios, and some pairs of steps.
+            candidates are single simplifications, some pairs of simplifications, and small scenarios.
         before: size of the scenario before shrinking, in words.
     """
 
@@ -115,7 +115,7 @@ class Shrunk:
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
-    """The end of the budget of runs, or of the time."""
+    """The exception that ends shrinking when no runs or no time are left."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
@@ -151,12 +151,12 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
 
 def instructions(scenario: Scenario) -> int:
-    """Return the number of instructions. Equal ones in a row count once."""
+    """Return the number of instructions, counting equal consecutive instructions as one."""
     return sort_key(scenario)[1]
 
 
 def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """Return the size of a scenario in words: ``2 NPCs, 7 instructions, 60 s``."""
+    """Return the size of a scenario in words, such as ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
     return f"{npcs}, {told}, {round(min(scenario.seconds, longest_run), 1):g} s"
 
@@ -176,14 +176,14 @@ def shrink(
     ahead: int = 0,
     asks_likely: bool = False,
 ) -> Asking[tuple[Scenario, Shrunk]]:
-    """Search for the simplest scenario that fails in the same way. Return it with statistics.
+    """Search for the simplest scenario that fails in the same way, and return it with statistics.
 
     Args:
         scenario: failing scenario, as executed.
         rollouts: largest number of attempts.
-        top_speed: highest speed of any instruction [m/s].
-        plain, plain_seconds: preferred start of the ego and duration of a gene [s].
-        ahead: number of candidates to announce before the first is attempted.
+        top_speed: highest speed [m/s] of any instruction.
+        plain, plain_seconds: preferred start of the ego, and preferred duration [s] of a gene; None for no preference.
+        ahead: number of candidates to announce in advance.
         asks_likely: True to attempt small scenarios only if they are :class:`Likely` to fail.
     """
     # No candidate is attempted twice. Equal answers lead to the same requests in the same order, and to the same result

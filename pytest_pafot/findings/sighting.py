@@ -1,4 +1,4 @@
-"""The results of a session for a finding, new or replayed."""
+"""A session's results for a finding, new or replayed."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ GROUPS: Mapping[str, str] = MappingProxyType({
     "drifted": "Drifted: the run differs from the file, so it does not show a fix",
     "flaky": "Flaky",
     "accepted": "Accepted for now",
-    "passes (found in another scenario)": "Pass, but a search found the same failure in another scenario",
-    "passes": "Pass, and no search of this session looked for the same failure",
-    "passes (not found again)": "Pass, and a search did not find the same failure again",
+    "passed (found in another scenario)": "Pass, but a search found the same failure in another scenario",
+    "passed": "Pass, and no search of this session looked for the same failure",
+    "passed (not found again)": "Pass, and a search did not find the same failure again",
 })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """The results of a finding's runs in a session."""
+    """The results of a finding's runs in this session."""
 
     # `new` for a new finding, `no worse` if it does not count in a comparison; empty for a replay.
     new: New | Literal[""] = ""
@@ -75,14 +75,18 @@ class Observed:
 
     @property
     def ran(self) -> tuple[Run, Verdict]:
-        """The run and its verdict. Raises a ValueError if this process has none."""
+        """The run and its verdict.
+
+        Raises:
+            ValueError: if no run finished in this process.
+        """
         if self.run is None or self.verdict is None:
             raise ValueError(f"run: expected a run that finished in this process, received {self!r:.100}")
         return self.run, self.verdict
 
 
 def label(observed: Observed) -> Label | New:
-    """Return the label of a finding. No other code decides it."""
+    """Return the label of a finding. Only this function decides it."""
     if observed.new:
         return observed.new
     if observed.is_error:
@@ -108,7 +112,7 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alike:
-    """The runs of a search with the same failure as a finding."""
+    """The runs of a search that failed in the same way as a finding."""
 
     runs: int = 0  # number of these runs; for a finding, without the run that shows it
     number: int = 0  # number of the worst run in the search, from 0
@@ -153,7 +157,7 @@ class Seen:
 
     @property
     def raised(self) -> BaseException:
-        """The exception of a new finding, if this process has it."""
+        """The exception of a new finding, in the process that found it."""
         if self.observed.verdict is None or self.observed.verdict.exception is None:
             raise ValueError(f"seen: expected a new finding in the process of its search, received {self.id!r}")
         return self.observed.verdict.exception
@@ -164,17 +168,17 @@ class Seen:
 
     @property
     def rank(self) -> tuple[float | str, ...]:
-        """The sort key of findings: the worst first, then those with the most runs."""
+        """The sort key of findings: the worst come first, then those with the most runs."""
         return *Severity.worst_first(self.responsible, self.severity), -self.alike.runs, self.node_id
 
     @property
     def responsible(self) -> str:
-        """The side that is responsible for the collision, as in the file."""
+        """The side that is responsible for the collision, as stored in the corpus file."""
         return self.finding.expect.responsibility
 
     @property
     def is_flaky(self) -> bool:
-        """True if running the scenario again gave a different run."""
+        """True if another run of the same scenario gave a different result."""
         return self.finding.flaky is not None
 
     @property
@@ -183,12 +187,12 @@ class Seen:
 
     @property
     def is_as_saved(self) -> bool:
-        """True for a new finding, and for a replay that failed as the file states."""
+        """True for a new finding, and for a replay that failed as saved."""
         return bool(self.observed.new) or self.observed.is_same
 
     @property
     def is_firm(self) -> bool:
-        """True if the scenario is expected to give the same run each time."""
+        """True if every run of the scenario is expected to give the same result."""
         return not (self.is_flaky or self.is_timed or self.finding.expect.is_crash)
 
     @property
@@ -206,14 +210,14 @@ class Seen:
 
     @property
     def result(self) -> str:
-        """The label as in summaries, which report only facts: not ``fixed``, but ``passes (not found again)``."""
+        """The label as in summaries, which report only facts: not ``fixed``, but ``passed (not found again)``."""
         is_elsewhere = self.label == "still failing" and not self.observed.fails
         words = "found in another scenario" if is_elsewhere else "not found again" * (self.label == "fixed")
-        return f"passes ({words})" if words else str(self.label)
+        return f"passed ({words})" if words else "passed" if self.label == "passes" else str(self.label)
 
     @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
-        """The comparison of a replay with the reference, or an empty string."""
+        """The result of comparing a replay with the reference, or an empty string."""
         now = self.observed
         if now.reference_passes is None or now.is_unsteady:
             return ""
@@ -223,7 +227,7 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """The result of this session's search for the failure of a passing replay, or an empty string."""
+        """The result of this session's search for a failure that its replay did not show, or an empty string."""
         searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
         if elsewhere or not searched:
             return elsewhere and f"{elsewhere} fails in the same way"
@@ -234,15 +238,15 @@ class Seen:
 
     @property
     def worst(self) -> str:
-        """The worst other run with this failure, or an empty string."""
+        """A note on the worst other run with this failure, or an empty string."""
         worst, number, own = self.alike.severity, self.alike.number, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""
-        return f"the worst, number {number}, {worst}"
+        return f"the worst, run {number}, {worst}"
 
     @property
     def impacts(self) -> str:
-        """The range of severities of runs with this failure, or an empty string."""
+        """The range of severities among the runs with this failure, or an empty string."""
         worst, least = self.alike.severity or self.severity, self.alike.least or self.severity
         if worst is None or least is None or None in (worst.value, least.value):
             return ""
@@ -254,5 +258,5 @@ class Seen:
     def remark(self) -> str:
         """Notes on the finding, such as its failure rate."""
         flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
-        timed = "depends on wall-clock time" if self.is_timed else ""
+        timed = "the result depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))

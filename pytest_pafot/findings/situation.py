@@ -67,13 +67,13 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
 
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
-    """Return the tick at which the cause of a collision starts, or None."""
+    """Return the tick of the lane change, braking or danger that led to a collision, or None."""
     return None if run.collision is None or failure.check is not None else run.attribution.tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """The position of an NPC relative to the ego at one moment."""
+    """The position and speed of an NPC relative to the ego at one moment."""
 
     npc: int  # index of the NPC in the scenario
     time: float  # time of the moment [s]
@@ -143,7 +143,7 @@ class Situation:
         return np.stack((along, aside, speeds))
 
     def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run was nearest to the situation."""
+        """Return the situation in a run that was closest to this one."""
         frame, tick = frame_of(trace), int((self.distances(trace) ** 2).sum(axis=0).argmin())
         ego_speed, npc_speed = frame.speed[0, tick], frame.speed[self.npc + 1, tick]
         return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
@@ -157,7 +157,7 @@ class Situation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneSituation:
-    """The times until a crossing NPC and the ego reach their zone."""
+    """The times until a crossing NPC and the ego reach their conflict zone."""
 
     # The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative for
     # a vehicle in the zone or after it.
@@ -228,7 +228,7 @@ def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
 
 
 def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> float | None:
-    """Return the time for which a run continued after a situation first occurred [s], or None."""
+    """Return how long [s] a run continued after a situation first occurred, or None."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
@@ -236,13 +236,13 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
 
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
-    """Return a sentence if a situation did not occur in a run, otherwise an empty string."""
+    """Return a sentence if a situation did not occur in a run, or an empty string if it did."""
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)
     return (
-        f"the situation did not occur: NPC {situation.npc} was {situation}, before the saved run failed; in this run, "
-        f"the NPC came closest to this when it was {now}, after {now.time:.1f} s"
+        f"the situation did not occur: before the saved run failed, NPC {situation.npc} was {situation}. In this run, "
+        f"the NPC came closest to this after {now.time:.1f} s, when it was {now}"
     )
 
 

@@ -65,7 +65,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signature:
-    """The identity of a failure: two failures with equal fields are the same."""
+    """The identity of a failure. Failures with equal fields count as the same failure."""
 
     # A failed check is identified by its name, and an assertion that is not about the collision by its text. The end of
     # the run and the positions of the NPCs depend on the traffic; they would split one property into many failures. For
@@ -111,7 +111,7 @@ class Signature:
 
     @property
     def is_property(self) -> bool:
-        """True for a failed check and for an assertion on a measure, which are not about the end of the run."""
+        """True for a failed check or an assertion on a measure, which do not concern how the run ended."""
         if self.failure == CHECK_FAILED:
             return True
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
@@ -122,14 +122,14 @@ class Signature:
 
     @property
     def told(self) -> dict[str, str]:
-        """The compared fields that are not None, as strings."""
+        """The fields that identify the failure, as strings, without those that are None."""
         compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
         words = {name: value.label if isinstance(value, Cell) else value for name, value in compared.items()}
         return {name: str(value) for name, value in words.items() if value is not None}
 
     @property
     def text(self) -> str:
-        """The compared fields as one line of JSON."""
+        """The fields that identify the failure, as one line of JSON."""
         return json.dumps(self.told)
 
     @property
@@ -157,12 +157,12 @@ class Signature:
 
 
 def zone_in_words(zone: Zone) -> str:
-    """Return the group of a zone, one of ``ZONES``."""
+    """Return a zone's kind and the NPC's origin in words, one of ``ZONES``."""
     return f"{zone.kind} {zone.whence}"
 
 
 def normalised(assertion: str, message: str = "") -> str:
-    """Reduce a failing assertion to a string that stays the same from run to run, and with unrelated edits."""
+    """Reduce a failing assertion to a string that does not depend on the run or on unrelated edits."""
     # Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
     # with `N` for each number. Any other string is reduced to its first line, or to the first line of `message`, with
     # `N` for numbers, `ADDRESS` for addresses and `PATH` for files. The result has at most 200 characters.
@@ -225,7 +225,7 @@ PASSES = ("passed", "npc")
 @total_ordering
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Severity:
-    """The severity of a failure: larger is worse."""
+    """The severity of a failure. Larger is worse."""
 
     # Any collision is worse than any failed check. Collisions are compared by their closing speeds, and failed checks
     # by their margins, which have no unit.
@@ -242,7 +242,7 @@ class Severity:
 
     @property
     def figure(self) -> str:
-        """The value with few digits and without the unit."""
+        """The value as a short string without the unit."""
         if self.value is None:
             return "no finite number"
         return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
@@ -265,7 +265,10 @@ class Severity:
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-        """Return a sort key: first collisions for which the ego is responsible, each group from the worst."""
+        """Return a sort key for failures, the worst first.
+
+        Collisions for which the ego is responsible come before all other failures.
+        """
         # Failures without a measure are last. Callers put more important criteria before this key, and tie-breakers
         # after it.
         if severity is None:
@@ -319,7 +322,7 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """The verdict of the test function, the oracle, on a run."""
+    """The verdict of the test function on a run."""
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` do not count. ``npc`` is a collision for which
     # an NPC is responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either.
@@ -344,7 +347,7 @@ class Verdict:
 
     @property
     def passes(self) -> bool:
-        """True if the run passes or ``blame`` excludes its failure."""
+        """True if the run passes, or if ``blame`` excludes its failure."""
         return self.kind in PASSES
 
     @property
@@ -362,11 +365,11 @@ class Verdict:
 
     @property
     def worsening(self) -> str:
-        """The increase in severity over the failure of the reference, or an empty string."""
+        """The increase in severity over the reference's failure in words, or an empty string."""
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:
-        """Return this verdict, compared with the verdict on the reference."""
+        """Return this verdict, adjusted for the verdict on a run of the reference."""
         # It counts only if the reference passes. If the run of the reference is invalid, that is unknown.
         without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
         return replace(self, kind="failed" if reference.passes else without, reference=reference)

@@ -42,7 +42,7 @@ SETTING_OFF = 2.0  # the acceleration with which a waiting vehicle is expected t
 
 
 def longer(stretch: Stretch, by: float) -> Stretch:
-    """Return a stretch for a vehicle that is ``by`` [m] longer than a car."""
+    """Return a stretch of a path, lengthened for a vehicle that is ``by`` [m] longer than a car."""
     return stretch[0] - by / 2, stretch[1] + by / 2
 
 
@@ -54,9 +54,9 @@ class Zone:
         way: entry and exit of the NPC's path, such as ``"o1>o3"``.
         kind: how the two paths meet: ``"crossing"``, ``"oncoming"`` or ``"merging"``.
         origin: where the NPC comes from: ``"left"``, ``"right"``, ``"ahead"`` or ``"behind"``.
-        ego, npc: start and end of the zone along each of the two paths [m].
+        ego, npc: start and end [m] of the zone along each of the two paths.
         priority: the vehicle that has priority: ``"ego"``, ``"npc"`` or ``"none"``.
-        line: points of the NPC's path, x and y [m], for pictures; empty if unknown.
+        line: points (x, y) [m] of the NPC's path, for pictures; empty if unknown.
     """
 
     way: str
@@ -73,17 +73,17 @@ class Zone:
 
 
 class CrossingVehicle(NamedTuple):
-    """A vehicle on a path that meets the ego's path, as an observer with a map could measure it.
+    """A vehicle on a path that meets the ego's path, as measured by an observer with a map.
 
     Distances are measured from a vehicle's centre along its path. They are negative inside the zone.
 
     Attributes:
         id: index of the NPC in ``run.npcs``.
         zone: area in which the two paths first meet, with its priority.
-        distance: distance from the NPC to the start of the zone [m].
-        ego_distance: distance from the ego to the start of the zone [m].
-        ahead, right: position of the NPC's centre relative to the centre and the heading of the ego [m].
-        heading: heading relative to the ego, positive to the right [rad].
+        distance: distance [m] from the NPC to the start of the zone.
+        ego_distance: distance [m] from the ego to the start of the zone.
+        ahead, right: position [m] of the NPC's centre relative to the ego's centre and heading.
+        heading: heading [rad] relative to the ego, positive to the right.
         speed: speed [m/s].
         length, width: size [m].
     """
@@ -128,7 +128,7 @@ class Way:
 
     @lru_cache(maxsize=2048)  # noqa: B019  (called hundreds of times per scenario; a world keeps its ways anyway)
     def times(self, speed: float) -> FloatArray:
-        """Return the time from the entry to each point [s]."""
+        # The time [s] from the entry to each point at a target speed [m/s].
         driven = np.minimum(self.speeds, speed)
         steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
         times: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
@@ -182,9 +182,8 @@ class Crossings:
         return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
 
     def start(self, instruction: CrossingInstruction) -> float:
-        """Return the position at which an NPC has to start to keep its slot [m]."""
-        # An NPC with the act "hold" reaches its line when it would otherwise enter the zone. With "late", it reaches
-        # the line earlier, if it can brake for it.
+        # The position [m] at which an NPC must start to keep its slot. An NPC with the act "hold" reaches its line when
+        # it would otherwise enter the zone. With "late", it reaches the line earlier, if it can brake for it.
         way = self.ways[instruction.zone]
         if instruction.act not in WAITING:
             return self._start_of_passing(instruction)

@@ -73,7 +73,7 @@ ALL_CELLS = frozenset(Cell)
 
 
 def is_adjacent(a: Cell, b: Cell) -> bool:
-    """Return whether ``b`` may follow ``a`` in a chain."""
+    """Return whether ``b`` can directly follow ``a`` in a chain."""
     return (b - a + 1) % 8 <= 2
 
 
@@ -82,7 +82,7 @@ _STEPS = frozenset((a, b) for a in Cell for b in Cell if is_adjacent(a, b))
 
 
 def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> float:
-    """Return the longitudinal distance from the ego to a cell [m]."""
+    """Return the target distance [m] ahead of the ego for an NPC in a cell."""
     # The paper's cell is as long as the ego (section 2.1). A vehicle in cell 2 or 6 would then be bumper to bumper with
     # the ego, so reaching the cell would always be a collision. Therefore `clearance` [m] is added ahead and behind; 0
     # gives the paper's grid.
@@ -100,7 +100,7 @@ def _third(value: float, half: float) -> int:
 
 
 def toss(seed: int, npc: int, gene: int) -> bool:
-    """Toss a fair coin, which depends only on the three numbers (splitmix64)."""
+    """Toss a fair coin that depends only on the arguments (splitmix64)."""
     mask = 0xFFFFFFFFFFFFFFFF
     z = (seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
@@ -116,8 +116,9 @@ def repair_gene(
     *,
     skipping: bool = False,
 ) -> tuple[Cell, ...]:
-    """Return the cells that all NPCs execute in one gene (section 2.1)."""
-    # `existing` are the cells with a lane that exists now, and `previous` is None in the first gene. A coin is True to
+    """Return the cells that all NPCs execute in one gene."""
+    # See section 2.1 of the paper. `existing` are the cells with a lane that exists now, and `previous` is None in the
+    # first gene. A coin is True to
     # try the clockwise neighbour first. With `skipping`, for roads with few cells, a step skips cells that do not
     # exist.
     #
@@ -151,7 +152,7 @@ def repair_gene(
 
 
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
-    """Return the chains, repaired for a road with all cells."""
+    """Return the chains, repaired for a road on which all cells exist."""
     # Valid chains are unchanged. Random choices depend only on (seed, NPC, gene).
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):
@@ -168,7 +169,7 @@ def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Ce
 
 
 def are_valid(chains: Sequence[Sequence[Cell]]) -> bool:
-    """Return whether chains are valid without repair."""
+    """Return whether chains are valid without any repair."""
     if not all(_STEPS.issuperset(pairwise(row)) for row in chains):
         return False
     held = [cell + 8 * gene for row in chains for gene, cell in enumerate(row)]
@@ -231,11 +232,11 @@ CODES_PER_TARGET = 10_000  # the distance between the codes of two targets, whic
 
 
 class ScenarioError(FieldError):
-    """A scenario that breaks a rule."""
+    """An error for a scenario that breaks a rule."""
 
 
 class Choices(NamedTuple):
-    """The range of a search's target speeds, in tenths of m/s."""
+    """The range of target speeds in a search, in tenths of m/s."""
 
     low: int
     top: int
@@ -265,7 +266,7 @@ class Instruction(Pasteable, ABC):
     @property
     @abstractmethod
     def target(self) -> int | str:
-        """The cell, lane or zone in canonical texts."""
+        """The target cell, lane or zone, as in a scenario's canonical string."""
 
     @property
     def code(self) -> Hashable:
@@ -288,12 +289,12 @@ class Instruction(Pasteable, ABC):
 
     @abstractmethod
     def plain(self) -> list[Any]:
-        """Return the instruction as strings and numbers, which :meth:`read` reads."""
+        """Return the instruction as a list of strings and numbers for :meth:`read`."""
 
     @classmethod
     @abstractmethod
     def read(cls, plain: Sequence[Any]) -> Self:
-        """Return the instruction that :meth:`plain` described."""
+        """Return the instruction from the output of :meth:`plain`."""
 
     def in_file(self) -> dict[str, Any]:
         given = [(each, getattr(self, each.name)) for each in fields(cast("Any", self))]
@@ -406,7 +407,7 @@ class TimedInstruction(Instruction):
 
 @lru_cache(maxsize=1 << 15, typed=True)
 def known(kind: Callable[[Any, Any], TimedInstruction], target: Any, speed: Any) -> Any:
-    """Return an instruction from a cache."""
+    """Return an instruction, from a cache if possible."""
     return kind(target, speed)
 
 
@@ -414,7 +415,7 @@ def known(kind: Callable[[Any, Any], TimedInstruction], target: Any, speed: Any)
 
 
 def checked_speed(value: object, least_steps: int = 0) -> float:
-    """Return a valid target speed [m/s]."""
+    """Check a target speed [m/s] and return it, rounded to a step of 0.1."""
     speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value))
@@ -496,13 +497,13 @@ LANE_STARTS = tuple(map(Cell, (1, 2, 3, 8, 4, 6, 7, 5)))
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LaneInstruction(TimedInstruction):
-    """A gene that makes an NPC keep its lane or change it by one, wherever the ego is.
+    """A gene that makes an NPC keep its lane or move by one lane, wherever the ego is.
 
     AV-Fuzzer has the same manoeuvres (Li et al., ISSRE 2020). If the lane does not exist, the NPC keeps its lane.
 
     Attributes:
         lane: ``"keep"``, ``"left"`` or ``"right"``, relative to the NPC's lane at the start of the gene.
-        speed: target speed from the first tick of the gene [m/s], >= 0, in steps of 0.1.
+        speed: target speed [m/s] from the first tick of the gene, >= 0, in steps of 0.1.
     """
 
     lane: Shift
@@ -575,7 +576,7 @@ class LaneInstruction(TimedInstruction):
 
 
 def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> list[list[LaneInstruction]]:
-    """Sample chains of Lane-Instructions uniformly."""
+    """Sample chains of ``LaneInstruction`` uniformly."""
     shifts = rng.integers(len(SHIFTS), size=(npcs, genes)).tolist()
     speeds = rng.integers(choices.low, choices.top + 1, size=(npcs, genes)).tolist()
     return [
@@ -616,9 +617,9 @@ class CrossingInstruction(Instruction):
 
     Attributes:
         zone: entry and exit of the NPC's path, such as ``"o1>o3"``.
-        slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. Positive: from the ego's exit
+        slot: time [s] between the two vehicles at the zone, from -5 to 5 in steps of 0.1. Positive: from the ego's exit
             to the NPC's entry. Negative: from the NPC's exit to the ego's entry. 0: both are there together.
-        speed: target speed up to and in the zone [m/s], above 0 and in steps of 0.1. The NPC is slower if a curve
+        speed: target speed [m/s] up to and in the zone, above 0 and in steps of 0.1. The NPC is slower if a curve
             requires it.
         act: ``"pass"``: drive through. ``"hold"``: wait at the line before the zone until the ego has passed.
             ``"stop"``: stop in the zone. ``"late"``: wait at the line, then enter as the slot specifies.
@@ -755,7 +756,7 @@ KINDS: tuple[type[Instruction], ...] = (PositionInstruction, LaneInstruction, Cr
 
 
 def instruction_of(plain: Sequence[Any]) -> Instruction:
-    """Return the instruction from which :meth:`Instruction.plain` made strings and numbers."""
+    """Return the instruction from the output of :meth:`Instruction.plain`."""
     if len(plain) == 4:
         return CrossingInstruction.read(plain)
     return (LaneInstruction if plain[0] in SHIFTS else PositionInstruction).read(plain)

@@ -1,4 +1,4 @@
-"""Chromosomes and scenarios, which a search evolves and a corpus file stores."""
+"""Scenarios, and the chains of instructions in them."""
 # All genes of a chain are of one kind, and the NPCs of a scenario may have different kinds. Source: Crespo-Rodriguez,
 # Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 
@@ -67,10 +67,10 @@ class Scenario(_Hashed):
             section 2). The NPC with the longest chain continues that gene.
         seed: seed of all random choices in the run, from 0 to 2**63 - 1.
         ego_lane: the ego's initial lane, from 0 at the left.
-        ego_speed: initial speed of the ego and of NPCs that do not cross [m/s]. It is lower if a curve requires it.
-        gene_seconds: duration of a gene [s].
+        ego_speed: initial speed [m/s] of the ego and of NPCs that do not cross. It is lower if a curve requires it.
+        gene_seconds: duration [s] of a gene.
         traffic: driving style of the NPCs: ``paper``, ``hostile``, ``assertive`` or ``everyday``.
-        vehicles: vehicles of the NPCs, in order: a ``VehicleType``, or the name of a built-in one. The remaining
+        vehicles: vehicles of the NPCs, in order, each a ``VehicleType`` or the name of a built-in one. The remaining
             NPCs are cars.
 
     Raises:
@@ -100,7 +100,7 @@ class Scenario(_Hashed):
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
         speed = checked_number(self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError)
         object.__setattr__(self, "ego_speed", speed + 0.0)  # -0.0 becomes 0.0, so that equal scenarios have equal texts
-        expected = f"a number of seconds greater than 0 and at most {LONGEST_GENE:g}"
+        expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         seconds = checked_number(
             self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE, error=ScenarioError
         )
@@ -155,12 +155,12 @@ class Scenario(_Hashed):
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
-        """The chains of Position-Instructions."""
+        """The chains of ``PositionInstruction``."""
         return positions_of(self.npcs)
 
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
-        """The Crossing-Instruction of each NPC, or None; empty without any."""
+        """Each NPC's ``CrossingInstruction`` or None; empty if no NPC crosses."""
         found: list[Any] = [chain[0] if chain[0].crosses else None for chain in self.npcs]
         return tuple(found) if any(found) else ()
 
@@ -171,12 +171,12 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC crosses."""
+        """The duration [s] of the longest chain, or infinity if an NPC crosses."""
         return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
     def id(self) -> str:
-        """Six hexadecimal digits that equal scenarios share."""
+        """An id of six hexadecimal digits, which equal scenarios share."""
         return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
 
     def canonical(self) -> str:
@@ -253,7 +253,7 @@ class Scenario(_Hashed):
 
 
 def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
-    """Return a random generator for a part of the work."""
+    """Return a random generator that depends only on a seed and a part number."""
     # Built without `default_rng`, which a test may have replaced.
     from numpy.random import PCG64, Generator, SeedSequence  # noqa: PLC0415  (slow to import)
 
@@ -331,12 +331,12 @@ def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromos
 
 
 def positions_of(npcs: Sequence[Sequence[Instruction]]) -> tuple[tuple[PositionInstruction, ...], ...]:
-    """Return the chains of Position-Instructions."""
+    """Return the chains of ``PositionInstruction``."""
     return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(tuple(each) for each in npcs if each[0].on_grid))
 
 
 def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
-    """Return a row per NPC, empty for NPCs that are not on the grid."""
+    """Return a row of cells for each NPC, empty for NPCs that are not on the grid."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]
 
@@ -354,13 +354,13 @@ def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -
 
 
 def continues(before: Instruction, gene: Instruction) -> bool:
-    """Return whether an instruction only continues an earlier one."""
+    """Return whether an instruction only continues the previous one."""
     # An NPC that keeps its lane at the same speed after a lane change continues the change.
     return gene == before.afterwards
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return a chain with genes of the ``wanted`` duration."""
+    """Return a chain whose genes have the duration ``wanted`` [s]."""
     # Each new gene is the old gene that was active at its middle. Longer genes may skip a cell, and the chain then
     # needs repair. If a Lane-Instruction becomes several genes, only the first one changes lanes.
     if chain[0].crosses:

@@ -23,11 +23,11 @@ class Sight:
     """The limits and errors of perception.
 
     Attributes:
-        range: largest distance at which other vehicles are seen, from centre to centre [m]; None for no limit.
-        latency: time from the measurement of the vehicles to the decision that uses it [s].
-        noise: standard deviations of the normal errors of ``position``, along x and along y [m], and of ``speed``
-            [m/s], sampled for each vehicle and decision.
-        dropout: probability that a vehicle is not seen in a decision.
+        range: largest distance [m], from centre to centre, at which other vehicles are seen; None for no limit.
+        latency: time [s] from the measurement of the vehicles to the decision that uses it.
+        noise: standard deviations of the normal errors in ``position`` [m], along x and y, and in ``speed`` [m/s],
+            sampled for each vehicle and decision.
+        dropout: probability that a vehicle is not seen at a decision.
     """
 
     range: float | None = None
@@ -71,7 +71,7 @@ class Sight:
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> list[tuple[int, float, float, float]]:
-        """Return the index and the errors of each vehicle that is seen."""
+        # The index and the measurement errors of each vehicle that is seen.
         # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed
         # [m/s]. Their random numbers depend only on the seed and the tick.
         others = len(states) - 1

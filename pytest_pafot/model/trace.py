@@ -45,7 +45,7 @@ class Outcome(StrEnum):
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned an invalid action."""
     HANG = "hang"
-    """A decision exceeded the hang limit, or the world hung, in wall-clock time."""
+    """A decision exceeded the hang limit in wall-clock time, or the world hung."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,11 +53,11 @@ class Lane:
     """A lane of the road.
 
     Attributes:
-        x, y: start of the centre line [m].
-        heading: heading of the centre line at the start [rad].
-        length, width: size of the lane [m].
-        speed_limit: speed limit on the lane [m/s].
-        points: x and y along the centre line [m]; empty for a straight lane.
+        x, y: start [m] of the centre line.
+        heading: heading [rad] of the centre line at the start.
+        length, width: size [m] of the lane.
+        speed_limit: speed limit [m/s].
+        points: x and y [m] along the centre line; empty for a straight lane.
     """
 
     x: float
@@ -75,13 +75,14 @@ class Collision:
 
     Attributes:
         tick: physics tick of the first overlap.
-        time: time of the first overlap [s].
+        time: time [s] of the first overlap.
         npc: index of the NPC; None for a fixed object.
         side: side of the ego that was hit.
         cell: cell of the NPC's centre at the impact, or before it if the centre was in the ego's own cell. None for
             a fixed object, and for an NPC off the ego's path.
-        ego_speed, npc_speed: speeds at the impact [m/s]; 0 for a fixed object.
-        closing_speed: magnitude of the difference of the velocities [m/s], including the slip of a turning vehicle.
+        ego_speed, npc_speed: speeds [m/s] at the impact; 0 for a fixed object.
+        closing_speed: magnitude [m/s] of the difference between the velocities, including the slip of a turning
+            vehicle.
     """
 
     tick: int
@@ -110,10 +111,10 @@ class AdsError:
     Attributes:
         kind: name of the exception class; ``BadAction`` for an invalid action, ``Hang`` or ``WorldHang`` for code
             that took too long.
-        message: message of the error, one line.
+        message: message of the error, in one line.
         traceback: traceback through the user's code, or empty.
         tick: physics tick of the decision.
-        interrupted: whether the ADS, or the environment, hung and was interrupted.
+        interrupted: True if the ADS or the environment hung and was interrupted.
     """
 
     kind: str
@@ -124,17 +125,17 @@ class AdsError:
 
     @property
     def is_of_ads(self) -> bool:
-        """False if the environment failed, not the ADS."""
+        """True if the ADS failed, False if the environment failed."""
         return self.kind != WORLD_HANG
 
     @property
     def text(self) -> str:
-        """The kind and the message."""
+        """The error's kind and message."""
         return self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
 
 
 class RoadOfRun:
-    """The road of a run, with the positions of vehicles."""
+    """The road of a run, with the positions of the vehicles on it."""
 
     # Distances are in metres, positive to the right, and angles in rad. Arrays have the shape [vehicles, ticks + 1] or
     # [NPCs, ticks + 1] unless stated otherwise: with the long dimension innermost, numpy is about three times as fast.
@@ -281,7 +282,7 @@ class BentRoadOfRun(RoadOfRun):
 
     @property
     def heading(self) -> None:
-        """None for a recorded track."""
+        """None, because a recorded track has no single heading."""
 
     @property
     def angles(self) -> FloatArray:
@@ -338,7 +339,7 @@ class BentRoadOfRun(RoadOfRun):
 
 
 def driven_between(ego: Any, npc: Any) -> Any:
-    """Return the driving distance from the ego to an NPC [m]."""
+    """Return the driving distance [m] from the ego to an NPC."""
     # This is the difference of the two positions on the ego's path, times the mean of the metres that the two vehicles
     # drive per metre of the path. In a circle, it is the length of the arc halfway between them.
     return (npc[ALONG] - ego[ALONG]) * (ego[STRETCH] + npc[STRETCH]) / 2
@@ -351,7 +352,7 @@ def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | N
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """One run, tick by tick, with the ego as vehicle 0 and NPC ``i`` as vehicle ``i + 1``.
+    """A run, tick by tick, with the ego as vehicle 0 and NPC ``i`` as vehicle ``i + 1``.
 
     Attributes:
         scenario: the scenario as requested.
@@ -359,10 +360,10 @@ class Trace:
         outcome: how the run ended.
         collision: the collision, or None.
         error: the error of the ADS, or None.
-        states: shape [ticks + 1, vehicles, 7]: x [m], y [m] (positive to the right of the driving direction),
-            heading [rad], speed [m/s], and the acceleration [m/s^2] and steering [rad] that led to the state, lane
-            (index into ``lanes``, -1 off the road).
-        sizes: shape [vehicles, 2]: length and width [m].
+        states: array of shape [ticks + 1, vehicles, 7] with x [m], y [m] (positive to the right of the driving
+            direction), heading [rad], speed [m/s], the acceleration [m/s^2] and steering [rad] that led to the state,
+            and lane (index into ``lanes``, -1 off the road).
+        sizes: length and width [m] of each vehicle.
         lanes: lanes of the road, from the left; first the lanes along the ego's path.
         physics_hz: ticks per second.
         ads_hz: decisions per second.
@@ -370,16 +371,16 @@ class Trace:
         decided: the ticks of irregular decisions, or empty.
         arrivals: for each NPC and started gene, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
-        max_decision_seconds: longest decision in wall-clock time [s].
-        track: shape [ticks + 1, vehicles, 5]: position along the ego's path [m], across it to the right [m], angle
-            to it [rad], offset from the lane's centre [m], metres driven per metre of the path. NaN off the ego's path;
-            None on straight roads.
+        max_decision_seconds: longest wall-clock time [s] of a decision.
+        track: array of shape [ticks + 1, vehicles, 5] with the position [m] along the ego's path and to the right of
+            it, the angle [rad] to it, the offset [m] from the lane's centre, and the metres driven per metre of the
+            path. NaN off the ego's path; None on straight roads.
         zones: for each NPC the zone in which it crosses, or None; empty if no NPC crosses.
-        on_way: positions along the paths of crossing NPCs [m], shape [ticks + 1, NPCs], or None.
+        on_way: positions [m] along the paths of crossing NPCs, by tick and NPC, or None.
         driven: the executed cells if missing cells were skipped; otherwise empty.
         obstacles: x [m], y [m], heading [rad], length and width [m] of fixed objects.
         drew: True if the run drew from a global random generator.
-        ego_vehicle: the ego's vehicle.
+        ego_vehicle: type of the ego's vehicle.
         ended: the part of the environment that ended the run early, or empty.
     """
 
@@ -445,32 +446,32 @@ class Trace:
 
     @property
     def dt(self) -> float:
-        """The duration of a physics tick [s]."""
+        """The duration [s] of a physics tick."""
         return 1 / self.physics_hz
 
     @property
     def duration(self) -> float:
-        """The simulated duration of the run [s]."""
+        """The simulated duration [s] of the run."""
         return self.ticks / self.physics_hz
 
     @property
     def times(self) -> FloatArray:
-        """The time of every row [s], shape [ticks + 1]."""
+        """The time [s] of every row of ``states``."""
         return np.arange(self.ticks + 1) / self.physics_hz
 
     @property
     def decision_ticks(self) -> Sequence[int]:
-        """The ticks of the decisions, including one that failed."""
+        """The ticks of the decisions, including a decision that failed."""
         return self.decided or range(0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz))
 
     @property
     def ego(self) -> FloatArray:
-        """The ego's states, shape [ticks + 1, 7]."""
+        """The ego's states, ``states[:, 0]``."""
         return self.states[:, 0]
 
     @property
     def npcs(self) -> FloatArray:
-        """The NPCs' states, shape [ticks + 1, NPCs, 7]."""
+        """The NPCs' states, ``states[:, 1:]``."""
         return self.states[:, 1:]
 
     @property
@@ -478,18 +479,18 @@ class Trace:
         return road_of_run(self.states, self.lanes, self.track)
 
     def track_of(self, vehicle: int) -> FloatArray:
-        """Return the track of a vehicle, shape [ticks + 1, 5], on any road."""
+        """Return a vehicle's track, even on a straight road."""
         return self.road.track[:, vehicle]
 
     def way_of(self, npc: int) -> FloatArray:
-        """Return the positions along an NPC's crossing path [m], or raise a ValueError."""
+        """Return an NPC's positions [m] along its crossing path, or raise a ValueError."""
         if self.on_way is None:
             raise ValueError("on_way: expected a run in which an NPC crosses the ego's path, received no crossing NPC")
         return self.on_way[:, npc]
 
     @property
     def angles(self) -> FloatArray:
-        """The headings relative to the road [rad], shape [ticks + 1, vehicles]."""
+        """The headings [rad] relative to the road, by tick and vehicle."""
         return self.road.angles
 
     def rows_until(self, tick: int) -> dict[str, Any]:
@@ -506,7 +507,7 @@ class Trace:
 
     @property
     def speed_limit(self) -> float:
-        """The speed limit of the fastest lane [m/s]."""
+        """The speed limit [m/s] of the fastest lane."""
         return max(lane.speed_limit for lane in self.lanes)
 
     def __repr__(self) -> str:
@@ -523,7 +524,7 @@ SURVIVES = "the cause is probably state that survives `start` or `reset`, or a r
 
 
 def named(vehicle: int) -> str:
-    """Return the name of a vehicle in messages. Number 0 is the ego."""
+    """Return the name of a vehicle for messages. Number 0 is the ego."""
     return f"NPC {vehicle - 1}" if vehicle else "the ego"
 
 

@@ -1,4 +1,4 @@
-"""Vehicles, and the driving styles of NPCs."""
+"""Types of vehicles, and driving styles of NPCs."""
 # In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance as
 # behind other NPCs. It responds immediately if it moved in itself or if there is a vehicle ahead of the ego. If the ego
 # moved in ahead of the NPC, or brakes with nothing ahead, the NPC responds a second later and with at most 6 m/s^2. An
@@ -28,10 +28,10 @@ class DrivingStyle:
         is_attentive: True if NPCs respond to the ego.
         least_speed_share: lowest speed of an NPC with nothing ahead, as a proportion of the speed limit or, if lower,
             of the ego's speed. It also limits target speeds in a search.
-        least_gap: smallest gap, bumper to bumper, at which an NPC moves in ahead of the ego [m].
-        time_gap: smallest gap at which an NPC moves in ahead of the ego, as a time at the ego's speed [s].
-        braking: hardest braking of an NPC if nothing ahead requires more [m/s^2].
-        lateral_speed: highest lateral speed of an NPC [m/s].
+        least_gap: smallest gap [m], bumper to bumper, at which an NPC moves in ahead of the ego.
+        time_gap: smallest time gap [s] at which an NPC moves in ahead of the ego, at the ego's speed.
+        braking: hardest braking [m/s^2] of an NPC if nothing ahead requires more.
+        lateral_speed: highest lateral speed [m/s] of an NPC.
     """
 
     described: str = ""
@@ -100,14 +100,14 @@ LONGEST_NAME = 40  # the largest number of characters of a vehicle's name
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class VehicleType(Pasteable):
-    """A kind of vehicle: its size, and limits in addition to those of the world.
+    """A type of vehicle, with its size and its own limits.
 
     The names ``"car"``, ``"van"``, ``"truck"`` and ``"motorcycle"`` select built-in vehicles. If a limit is omitted or
     higher than the world's limit, the world's limit applies.
 
     Attributes:
         name: name of the vehicle, such as ``"truck"``.
-        length, width: size of the box [m], from 1 to 20 and from 0.5 to 3. The length is at least the width.
+        length, width: size [m] of the box, from 1 to 20 and from 0.5 to 3. The length is at least the width.
         acceleration: strongest acceleration [m/s^2], at least 0.5.
         braking: strongest deceleration, as a positive number [m/s^2], at least 5.
         lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
@@ -189,7 +189,7 @@ class VehicleType(Pasteable):
 
     @classmethod
     def of(cls, given: Any) -> VehicleType:
-        """Return the vehicle with a name, or from a dict that :meth:`plain` returned."""
+        """Return the vehicle for a name, or for a dict from :meth:`plain`."""
         if isinstance(given, VehicleType):
             return given
         if isinstance(given, str) and given in READY:
@@ -239,7 +239,7 @@ def _unpickled(plain: Any) -> VehicleType:
 
 
 def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:
-    """Return vehicles without the cars at the end."""
+    """Return a sequence of vehicles without the cars at its end."""
     # Equal scenarios must have equal vehicles.
     count = len(vehicles)
     while count and vehicles[count - 1] == CAR:

@@ -1,4 +1,4 @@
-"""The run that a test function receives, and the checks that the function makes."""
+"""The run that a test function receives, and the checks in the function."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Rejected(BaseException):
 
 
 def reject() -> NoReturn:
-    """Discard the current scenario: it counts neither as passed nor as failed."""
+    """Discard the current scenario, which then counts as neither passed nor failed."""
     raise Rejected("pafot.reject() discards a scenario in a @pafot.search test. Do not call it anywhere else")
 
 
@@ -99,7 +99,7 @@ class Check:
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
-    """The error of a check with a broken bound. Its attribute ``check`` has the details."""
+    """The error of a check whose value is out of bounds. The attribute ``check`` has the details."""
 
     __module__ = "pytest_pafot"  # users import it from there, and tracebacks show this name
 
@@ -129,7 +129,7 @@ _RECORDING: ContextVar[Recording | None] = ContextVar("pafot_checks", default=No
 
 @contextmanager
 def recorded(recording: Recording) -> Iterator[None]:
-    """Add the checks that are made inside the ``with`` block to a recording."""
+    """Record the checks that are made inside the ``with`` block."""
     token = _RECORDING.set(recording)
     try:
         yield
@@ -153,12 +153,12 @@ def check(
     Args:
         value: a number, or an array with one value per tick, such as ``run.ego.jerk``. The worst value counts. NaN
             fails.
-        name: name of the check. Failures with the same name are one finding.
+        name: name of the check. Failures with the same name count as one finding.
         at_most, at_least: bounds [unit]. At least one is required.
         unit: unit of the value, such as ``"m/s^3"``.
-        at: time of the event [s]; by default, the time of an array's worst value.
+        at: time [s] of the event; by default, the time of an array's worst value.
         npc: index of the NPC that the check is about. -1, as in ``run.leader``, means none.
-        scale: divisor of the margin [unit], which makes checks comparable; by default the bound, or 1 for a bound of 0.
+        scale: divisor [unit] of the margin, which makes checks comparable; by default the bound, or 1 for a bound of 0.
 
     Raises:
         CheckFailed: if a bound is broken.
@@ -171,7 +171,7 @@ def check(
     values = _values(value, name)
     # All bounds become margins in the same direction. The smallest margin counts.
     signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
-    bounds = [(checked_number(bound, what, "a finite bound"), sign) for bound, sign in signed]
+    bounds = [(checked_number(bound, what, "a finite number as the bound"), sign) for bound, sign in signed]
     with np.errstate(invalid="ignore"):
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
     # NaN must never pass: it is worse than any number.
@@ -181,7 +181,7 @@ def check(
     hz = None if recording is None or values.size == 1 or values.size != recording.ticks + 1 else recording.hz
     time = None if hz is None else tick / hz
     if at is not None:
-        time = checked_number(at, what, "at= as seconds since the start of the run", least=0.0)
+        time = checked_number(at, what, "at= to be at least 0 seconds after the start of the run", least=0.0)
     made = Check(
         name=_named(name),
         value=float(values[tick]),
@@ -214,7 +214,7 @@ def _values(value: Any, name: str) -> FloatArray:
 
 
 def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
-    """Assert a condition, also under ``python -O``.
+    """Assert a condition, even under ``python -O``.
 
     ``assertion`` is the source of the condition, which identifies the failure. ``explain`` returns the message.
     """
@@ -233,7 +233,7 @@ def _named(name: str) -> str:
 
 def _scale(name: str, bound: float, scale: float | None) -> float:
     divisor = abs(bound) or 1.0 if scale is None else scale
-    return checked_number(divisor, f"check {name!r}", "a scale above 0", least=POSITIVE)
+    return checked_number(divisor, f"check {name!r}", "scale= to be a positive number", least=POSITIVE)
 
 
 def _unit(name: str, unit: object) -> str:
@@ -291,7 +291,7 @@ class Moment:
     Attributes:
         npc: index of the NPC in the scenario.
         tick, time: physics tick and its time [s].
-        cell: cell of the NPC's centre, or the last one outside the ego's own cell, or None.
+        cell: last cell of the NPC's centre, other than the ego's own cell, or None.
     """
 
     npc: int
@@ -332,7 +332,7 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
-        """The end of the run, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
+        """The way the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
         return self.trace.outcome
 
     @property
@@ -352,24 +352,24 @@ class Run:
 
     @property
     def duration(self) -> float:
-        """The simulated time [s]."""
+        """The simulated duration [s]."""
         return self.trace.duration
 
     @property
     def max_decision_time(self) -> float:
-        """The longest wall-clock time of a decision [s]. It is not reproducible."""
+        """The longest wall-clock time [s] of a decision. It is not reproducible."""
         return self.trace.max_decision_seconds
 
     # How dangerous it was for the ego: over all ticks and NPCs.
 
     @cached_property
     def mettc(self) -> float:
-        """The paper's minimum estimated time to collision (equations 1 to 3) [s]; lower is worse, inf if none."""
+        """The paper's minimum estimated time to collision [s] (equations 1 to 3). Lower is worse; inf if none."""
         return criticality.mettc(self.trace)
 
     @cached_property
     def min_ttc(self) -> float:
-        """The smallest time to contact between the boxes of the ego and an NPC [s]; lower is worse, inf if none.
+        """The smallest time to contact [s] between the boxes of the ego and an NPC. Lower is worse; inf if none.
 
         It assumes constant velocities (Hayward, 1972).
         """
@@ -377,17 +377,17 @@ class Run:
 
     @cached_property
     def min_distance(self) -> float:
-        """The smallest distance between the boxes of the ego and an NPC [m]; lower is worse, 0 at contact."""
+        """The smallest distance [m] between the boxes of the ego and an NPC. Lower is worse; 0 at contact."""
         return criticality.min_gap(self.trace)
 
     @cached_property
     def min_centre_distance(self) -> float:
-        """The smallest distance between the centres of the ego and an NPC [m] (equation 4 of the paper)."""
+        """The smallest distance [m] between the centres of the ego and an NPC (equation 4 of the paper)."""
         return criticality.min_centre_distance(self.trace)
 
     @cached_property
     def hardest_brake(self) -> float:
-        """The ego's largest deceleration [m/s^2], positive; 0 if it never slowed down."""
+        """The ego's largest deceleration [m/s^2], as a positive number; 0 if it never slowed down."""
         return criticality.hardest_brake(self.trace)
 
     # What happened at each tick.
@@ -404,7 +404,7 @@ class Run:
 
     @property
     def headway(self) -> FloatArray:
-        """The gap to the leader at each tick, divided by the ego's speed [s]."""
+        """The time gap [s] to the leader at each tick, at the ego's speed."""
         return self.signal(headway)
 
     @cached_property
@@ -414,7 +414,7 @@ class Run:
 
     @cached_property
     def lane_changes(self) -> tuple[EgoLaneChange, ...]:
-        """The ego's lane changes in order."""
+        """The ego's lane changes, in order."""
         return ego_lane_changes(self.trace)
 
     @cached_property
@@ -426,7 +426,7 @@ class Run:
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
-        """Return the signal that a function computes from the trace, or only its column for the NPC ``npc``."""
+        """Return the signal that a function computes from the trace, or only its column for an NPC."""
         return self._signals.of(function, npc)
 
     def to_pandas(self) -> DataFrame:
@@ -468,7 +468,7 @@ class Run:
 
     @property
     def second_opinion(self) -> Responsibility | None:
-        """The side that the simpler rule of the paper's authors blames: ``"ego"``, ``"npc"`` or None."""
+        """The side that the paper authors' simpler rule blames: ``"ego"``, ``"npc"`` or None."""
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
@@ -486,14 +486,14 @@ class Run:
 
     @property
     def closest_time(self) -> float:
-        """The time of the smallest distance between the boxes [s]."""
+        """The time [s] at which the distance between the boxes is smallest."""
         return self.duration if self.closest_approach is None else self.closest_approach.time
 
     @cached_property
     def event_time(self) -> float:
-        """The time of the most important event of the run [s].
+        """The time [s] of the run's most important event.
 
-        This is the collision, the error or the departure from the road; otherwise, the smallest time to contact.
+        This is the collision, the error or the departure from the road, or else the smallest time to contact.
         """
         if self.collision is not None:
             return self.collision.time
@@ -515,7 +515,7 @@ class Run:
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the conflict zone of an event's NPC, or None after the NPC has merged."""
+        """Return the conflict zone of an event's NPC, or None once the NPC has merged."""
         zone, on_way = None if event.npc is None else self.npcs[event.npc].zone, self.trace.on_way
         if event.npc is None or zone is None or on_way is None:
             return None
@@ -523,7 +523,7 @@ class Run:
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Return the position of an event's NPC, such as ``in cell 2 (front)``; empty if unknown."""
+        """Return the position of an event's NPC, such as ``in cell 2 (front)``, or an empty string."""
         zone, on_way = self.zone_of(event), self.trace.on_way
         if event.npc is None or zone is None or on_way is None:
             return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
@@ -547,7 +547,7 @@ class Run:
 
     @property
     def impact(self) -> str:
-        """The collision in words: who hit whom, when and how fast; empty if none."""
+        """The collision in words (who hit whom, when and how fast), or an empty string."""
         hit = self.collision
         if hit is None:
             return ""
@@ -646,7 +646,7 @@ class Run:
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Return a crossing NPC's instruction in words."""
+    """Describe a crossing NPC's instruction in words."""
     return instruction.words_from("" if zone is None else zone.whence)
 
 
@@ -656,7 +656,7 @@ def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
 
 
 def arrival(trace: Trace, npc: int, gene: int) -> int | None:
-    """Return the tick at which an NPC reached the target of a gene, or None."""
+    """Return the tick at which an NPC reached a gene's target, or None."""
     chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
 
     def keeps_new_lane(later: int) -> bool:

@@ -183,7 +183,7 @@ def pafot_world() -> BaseWorld:
 
 @pytest.fixture(scope="session")
 def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
-    """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
+    """Return a function ``(scenario, ads_factory, world=None) -> Run`` that simulates a scenario.
 
     The function fails the test if the policy raises, hangs or returns no action. It warns if the run is invalid.
     """

@@ -1,4 +1,4 @@
-"""The collection of items: one for the search of each marked test, and one for each saved scenario.
+"""The collection of items: one for each marked test's search, and one for each saved scenario.
 
 Every test file that uses the plugin imports this module, so the module itself imports little.
 """
@@ -58,8 +58,8 @@ def search(**arguments: Unpack[SearchArguments]) -> Callable[[Target], Target]: 
 def search(*target: Any, **arguments: Any) -> Any:
     """Search for scenarios in which the decorated test function raises.
 
-    The decorator works with and without arguments, on functions and on test classes. Arguments are checked
-    right before the test runs, so a wrong argument fails one item and does not prevent the import of the module.
+    The decorator works with and without arguments, on test functions and on test classes. Arguments are checked
+    right before the test runs, so a wrong argument fails one item and does not prevent the module's import.
     """
     # @pafot.search, not @pafot.search(...): the only argument is the test, unless it looks like a policy or a factory.
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
@@ -81,7 +81,7 @@ def _check_name(target: object) -> None:
     if getattr(target, "__name__", "<lambda>") == "<lambda>":
         raise TypeError(
             f"expected a test function or a test class, received {target!r}. pytest does not collect objects "
-            f"without a name. Write a function `def test_...({RUN})` that calls it, and decorate the function"
+            f"without a name. Write a function `def test_...({RUN})` that calls this object, and decorate that function"
         )
 
 
@@ -104,7 +104,7 @@ def is_driven(item: pytest.Item) -> bool:
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
-    """Return the merged arguments of an item's search marks, or None if it has none."""
+    """Return the merged arguments of an item's search marks, or None if it has no such mark."""
     marks = list(item.iter_markers(SEARCH_MARK))
     if not marks:
         return None
@@ -145,7 +145,7 @@ def base_name(item: pytest.Item) -> str:
 
 
 def base_id(item: pytest.Item) -> str:
-    """Return the node id of an item's test, which a search shares with its replays."""
+    """Return the node id of an item's test, which is the same for its search and its replays."""
     return _node_id(item, base_name(item))
 
 
@@ -170,7 +170,7 @@ def _node_id(item: pytest.Item, name: str) -> str:
 
 
 def renamed(text: str, id_: str) -> str:
-    """Return the name of the item that replays a scenario, given the name of its search."""
+    """Return the name of the item that replays a saved scenario, given the name of its search."""
     parts = layout.around(layout.SEARCH_PART, text)
     return text if parts is None else saved_part(id_).join(parts)
 
@@ -221,7 +221,7 @@ class Collection:
         self._inventory = config.stash[INVENTORY] = Inventory(set(), set(), set(), set())
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
-        """Ignore all files in a corpus, even if they are named like tests."""
+        """Ignore all files in a corpus, even those named like test files."""
         return any(map(self._is_corpus, (collection_path, *collection_path.parents))) or None
 
     def _is_corpus(self, folder: Path) -> bool:

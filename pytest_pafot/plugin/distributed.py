@@ -16,7 +16,7 @@ KEY = "pafot"  # the key of this plugin's data in the input and the output of a 
 
 
 class _KeptEvents(Queue[Any]):
-    """A queue that keeps an event until the next one is requested, so that an interrupt loses none."""
+    """A queue that keeps an event until the next one is requested, so that an interrupt does not lose it."""
 
     is_begun = False  # whether the first event has been handed out
 
@@ -31,7 +31,7 @@ class _KeptEvents(Queue[Any]):
 
 
 class Controller:
-    """Hooks of pytest-xdist's controller."""
+    """Hooks for pytest-xdist's controller."""
 
     _last: pytest.TestReport | None = None  # the last report that all plugins have received
 
@@ -69,7 +69,7 @@ class Controller:
             known.update(other)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Report the results that an interrupted controller has received but not handled."""
+        """Report the results that an interrupted controller has received but not yet handled."""
         # All workers have ended by now, so no more events come.
         waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
         for event, data in () if waiting is None else tuple(waiting.queue):
@@ -78,7 +78,7 @@ class Controller:
 
 
 class Worker:
-    """Hooks of a worker of pytest-xdist."""
+    """Hooks for a pytest-xdist worker."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Send the collected items to the controller."""

@@ -41,28 +41,28 @@ from pytest_pafot.support.text import plural, visible
 
 MAX_FOLDERS = 10_000  # the maximum number of folders to search for saved scenarios
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
-"""The node id of the error for saved scenarios that were not run."""
+"""The node id of the error about saved scenarios that did not run."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
-"""The node id of the error for marked tests that were not collected."""
+"""The node id of the error about marked tests that were not collected."""
 # Matches only a node id, because the match is printed, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
 _BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
 _FOREIGN = {FOUND, ".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
-"""Folders with saved scenarios that never belong to the project."""
+"""Names of folders in which saved scenarios never belong to the project."""
 _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
-"""Files that mark another repository or a virtual environment."""
+"""Files and folders that mark a different repository or a virtual environment."""
 _CONFIGURED = ("pyproject.toml", "pytest.ini", "tox.ini", "setup.cfg", "setup.py", "package.json")
 """Files that mark the root of a project."""
 _SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "testmon", "picked")
-"""Options of pytest and plugins that run only some of the tests."""
+"""Options of pytest and its plugins that select only some of the tests."""
 
 
 _LISTING = ("collectonly", "setupplan", "setuponly", "showfixtures", "show_fixtures_per_test", "cacheshow")
-"""Options of pytest that run no test."""
+"""Options with which pytest runs no test."""
 
 ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
-"""Exit codes of sessions that ran tests."""
+"""The exit codes with which a session that ran tests can end."""
 
 
 class Guard:
@@ -90,13 +90,13 @@ class Guard:
 
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside the hook in which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Fail the session after all items have run and all workers of pytest-xdist have reported."""
+        """Fail a session with lost tests, after all items have run and all pytest-xdist workers have reported."""
         result = yield
         self._is_whole = True
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
             counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark ({self.cause}):"
-            _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED)
+            _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED.partition(". ")[2])
         self._note_left()
         if fails := self._session.fails:
             way_out = f"{self.cause}; allow it with {BY_NAME['allow_orphans'].flag}"
@@ -121,8 +121,8 @@ class Guard:
         session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
         self._session.problems.append(
             f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. It "
-            f"ends with {int(session.exitstatus)} instead ({self.cause}). Does a test call pytest.exit(returncode=0), "
-            "or does a plugin implement pytest_runtest_protocol?"
+            f"ends with exit code {int(session.exitstatus)} instead ({self.cause}). Does a test call "
+            "pytest.exit(returncode=0), or does a plugin implement pytest_runtest_protocol?"
         )
 
     def _note_left(self) -> None:
@@ -200,7 +200,7 @@ class Guard:
 def _files_below(
     top: Path, own: Iterable[Path], asked: Iterable[Path], corpus: Path, problems: list[str]
 ) -> Iterator[tuple[Path, bool]]:
-    """Yield possible saved scenarios below some folders, and whether they are in a corpus.
+    """Yield each possible saved scenario below some folders, and whether it is in a corpus.
 
     The folders in ``own`` are corpora. ``top`` and the folders in ``asked`` are not.
     """
@@ -238,11 +238,11 @@ def _files_below(
                     problems.append(refusal(file))
                     yield file, True
     if queue:
-        problems.append(f"the list of saved scenarios may be incomplete: only {MAX_FOLDERS} folders were searched")
+        problems.append(f"the list of saved scenarios may be incomplete: the limit of folders is {MAX_FOLDERS:,}")
 
 
 def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
-    """Yield saved scenarios that git tracks in a corpus that is not checked out."""
+    """Yield the saved scenarios in a corpus that git tracks but has not checked out."""
     from pytest_pafot.support.files import git  # noqa: PLC0415  (few sessions have saved scenarios)
 
     above = Path(os.path.realpath(top))
@@ -275,7 +275,6 @@ def _only_lists(config: pytest.Config) -> bool:
 
 
 def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> None:
-    """Report an error of the session as a failed item."""
     try:
         pytest.fail(f"{line}\n  {advice}", pytrace=False)
     except pytest.fail.Exception as error:

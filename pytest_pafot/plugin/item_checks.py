@@ -86,7 +86,7 @@ class Checks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Explain a missing fixture of the policy, and report skipped items on CI."""
+        """Explain the failure if the policy's fixture is missing, and report skipped items on CI."""
         report = yield
         request = item.stash.get(REQUEST, None)
         if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
@@ -109,8 +109,8 @@ def _check_function(item: pytest.Item) -> None:
     unittest = sys.modules.get("unittest")
     if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
         raise RequestError(
-            "expected a test function or a simple test class, received a method of the unittest.TestCase "
-            f"{cls.__name__}, which cannot use fixtures. Move the test out of that class"
+            f"expected a test function or a simple test class, received a method of {cls.__name__}, a "
+            "unittest.TestCase, which cannot use fixtures. Move the test out of that class"
         )
     if not isinstance(item, pytest.Function):
         raise RequestError(f"expected a test function, received {item!r}")
@@ -161,7 +161,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
     hint = meant(name, available) or "."
     text = (
-        f"the fixture {name!r}, which returns the factory of the policy, was not found{hint}\n"
+        f"the fixture {name!r}, which must return the policy's factory, was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"
         "    @pytest.fixture\n"
         f"    def {name}():\n"
@@ -179,13 +179,13 @@ class Execution:
     """Hooks that run the items of searches and saved scenarios."""
 
     def pytest_sessionfinish(self) -> None:
-        """Close the simulators of this process, so that their warnings are in the summary."""
+        """Close this process's simulators, so that the summary contains their warnings."""
         if (simulation := sys.modules.get("pytest_pafot.world.engines.simulation")) is not None:
             simulation.Simulators.close_all()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Set the properties of a saved scenario before its item can fail or be skipped."""
+        """Set the properties of a saved scenario's item before the item can fail or be skipped."""
         saved = saved_of(item)
         if saved is not None:
             set_saved_properties(item, saved)
@@ -199,7 +199,7 @@ class Execution:
         if call.excinfo is not None and report.passed and is_driven(item):
             report.outcome = "failed"
             report.longrepr = report.longrepr or item.repr_failure(call.excinfo)
-            text = "a pytest_runtest_makereport hook reported this failure as passed. Use xfail or `corpus accept`"
+            text = "a pytest_runtest_makereport hook hid this failure. To accept it, use xfail or `corpus accept`"
             report.sections.append(("pafot", text))
         return report
 
@@ -264,7 +264,7 @@ def _end(item: pytest.Item, thread: int) -> None:
 
 
 def _flush(item: pytest.Item, stack: str) -> None:
-    """Report the stuck item and end the session. Another thread calls this, because the item blocks its own."""
+    """Report the stuck item and end the session. This runs in another thread, because the item blocks its own."""
     reason = (
         f"{item.nodeid}: the policy or its environment exceeded the time limit and ignores interrupts, so "
         "this session must end. The next session will run the scenario again in a separate process, and save it. "
@@ -291,7 +291,7 @@ def _real_stderr(config: pytest.Config) -> int | None:
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Request:
-    """Return the checked request for the arguments of a mark.
+    """Build and check the request for the arguments of a mark.
 
     Raises:
         RequestError: for the first invalid argument or option.

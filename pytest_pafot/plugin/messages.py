@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def packed(value: object) -> str:
-    """Return a value as JSON in ASCII, because pytest-xdist cannot send invalid characters."""
+    """Encode a value as ASCII JSON, because pytest-xdist cannot send invalid characters."""
     return json.dumps(plain(value))
 
 
@@ -50,9 +50,9 @@ def send_seen(
     """Send a new or replayed finding to the controller.
 
     Args:
-        item: the item that found or replayed it.
+        item: the item that found or replayed the finding.
         settings: the settings of the item.
-        seen: the finding, with the observations of this session.
+        seen: the finding, with this session's observations.
         check: the check that failed, or None.
         note: an addition to the headline on the page.
         more: more data for the terminal.
@@ -101,9 +101,9 @@ class OfOneRun:
             self._shown = self._recorded[run.trace] = list(self.properties[count:])
 
     def show(self, run: Run | None, properties: Properties | None = None) -> None:
-        """Replace the properties of the last call with the properties of a run, or with none.
+        """Replace the last call's properties with the properties of ``run``, or remove them if ``run`` is None.
 
-        ``properties`` is the list that changes, by default the item's.
+        ``properties`` is the list to change, by default the item's.
         """
         changed = self.properties if properties is None else properties
         shown = [] if run is None else self._recorded.get(run.trace, [])
@@ -117,7 +117,7 @@ OF_ONE_RUN: pytest.StashKey[OfOneRun] = pytest.StashKey()
 
 
 def set_properties(properties: Properties, **values: object) -> None:
-    """Set properties of an item or a report, replacing earlier values and skipping empty ones."""
+    """Set properties of an item or a report. Replace earlier values, and skip empty ones."""
     names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
     others = [each for each in properties if each[0] not in names]
     properties[:] = [*others, *names.items()]
@@ -143,10 +143,10 @@ def finding_properties(sightings: Iterable[Seen]) -> dict[str, str]:
 # The failure report of an item, and its output.
 
 REPLAYED = pytest.StashKey[bool]()
-"""True if the scenario of an item was replayed."""
+"""True if the item's saved scenario was replayed."""
 
 NOT_ACCEPTED = pytest.StashKey[str]()
-"""The difference between the failure of a replay and the accepted failure."""
+"""The difference between the failure in a replay and the accepted failure."""
 
 OUTPUT_END = 10_000
 """The number of characters of captured output that a report keeps from each end."""
@@ -167,7 +167,6 @@ class KeptOutput:
         self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # start, end, characters between them
 
     def read(self) -> None:
-        """Take new output from pytest's capture."""
         if self._capture is None or getpid() != self._process:
             return  # This process was forked. The original process reads the file, to which both write.
         for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
@@ -177,7 +176,7 @@ class KeptOutput:
             self._texts[key] = begin, end[too_long:], left_out + too_long
 
     def give_back(self) -> None:
-        """Add the output to the report of the item, as pytest does."""
+        """Add the output to the item's report, as pytest does."""
         self.read()
         for key, (begin, end, left_out) in self._texts.items():
             text = f"{begin}{end}"
@@ -190,7 +189,7 @@ OUTPUT = pytest.StashKey[KeptOutput]()
 
 
 class Failures:
-    """Hooks that shorten the reports of failing items, and all captured output."""
+    """Hooks that shorten the reports of failing items and the captured output of all items."""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, object, object]:
@@ -245,7 +244,7 @@ def _shortened(begin: str, end: str, left_out: int) -> str:
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
-    """Count an item with an accepted failure as failed if it fails in another way."""
+    """Count an item with an accepted failure as failed if it fails in a different way."""
     is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
     # The mark xfail would also accept an error in a fixture or in the factory.
     is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash
@@ -255,7 +254,6 @@ def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestR
 
 
 def _make_visible(report: pytest.TestReport) -> None:
-    """Escape unprintable characters of a report outside its traceback."""
     match report.longrepr:
         case str() as text:
             report.longrepr = visible_lines(text)
@@ -269,7 +267,7 @@ def _make_visible(report: pytest.TestReport) -> None:
 
 
 def _fit(longrepr: Any, width: int) -> None:
-    """Wrap the lines of a failure message except code, and escape unprintable characters."""
+    """Wrap the lines of a failure message, except for code, and escape unprintable characters."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
         lines = [_COLOUR.sub("", line) for line in entry.lines]

@@ -1,4 +1,4 @@
-"""The item of a saved scenario, which runs one replay."""
+"""The item for a saved scenario, which runs one replay."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import Around
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
-"""The items that have explained an error in the set-up, by test and cause."""
+"""The node ids of items that have explained an error in the set-up, by test and cause."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
-    """Run the item of a saved scenario. An exception of the test function reaches pytest unchanged."""
+    """Run the item for a saved scenario. An exception from the test function reaches pytest unchanged."""
     __tracebackhide__ = True
     finding = saved.finding
     if finding is None:
@@ -87,7 +87,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 
 
 def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
-    """Return the differences between a replay and the file, and the result of the reference."""
+    """Describe the differences between a replay and the file, and the reference's result."""
     reference = "" if now.reference_passes is None else f", which {'passes' if now.reference_passes else 'fails'}"
     name = replays.harness.against_name
     notes = [f"compared with {name}{reference}" if name else ""]
@@ -104,7 +104,7 @@ def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
-    """Fail the item if the set-up causes its failure. Only the first item of a test explains it."""
+    """Fail the item if an error in the set-up causes its failure. Only a test's first such item explains the error."""
     __tracebackhide__ = True
     cause, finding = cause_of(run, verdict), saved.finding
     if cause is None or verdict.failure is None or finding is None:
@@ -144,8 +144,8 @@ def _send(
     # From that day, the item fails again. The warning reminds the user of the reason.
     if finding.xfail is not None and not replays.accepts(finding):
         over = (
-            f"{path}: accepted ({finding.accepted}), but that day has passed. Correct the failure, write a later day, "
-            "or remove the line `xfail:`"
+            f"{path}: the failure was accepted ({finding.accepted}), but that day has passed. Correct the policy, "
+            "write a later day, or remove the line `xfail:`"
         )
         messages.send(item, Note(over, "warning"))
     check = None if verdict is None or verdict.failure is None else verdict.failure.check
@@ -168,7 +168,7 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
     if label == "drifted" and is_strict:
         pytest.fail(
-            f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
+            f"the saved scenario passes, but its run drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
         )
     if verdict.kind == "invalid":
         pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested")
@@ -177,11 +177,11 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
 # The debugger in the decision of a policy that could have avoided a failure, for ``--pafot-debug``.
 
 ANY_TIME = 86_400.0
-"""The time limit for a decision in a debugger, the longest that a world allows [s]."""
+"""The time limit [s] for a decision in a debugger: the longest that a world allows."""
 
 
 class Stopping(Around):
-    """A policy with a breakpoint in one decision."""
+    """A wrapper that stops in a debugger before one of the policy's decisions."""
 
     def __init__(self, ads: Any, number: int, header: str) -> None:
         super().__init__(ads)

@@ -1,4 +1,4 @@
-"""The output of the controller: the terminal, the JSON file, the page, and the summary of a CI job."""
+"""The controller's output: the terminal, the JSON file, the page, and the summary of a CI job."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pytest_pafot.support.text import ascii_text
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable with the path of the summary file in GitHub Actions."""
 QUICK, REST = 0.1, 10
-"""The duration above which a write of the JSON file is slow [s], and the factor for the pause after it."""
+"""The duration [s] above which a write of the JSON file is slow, and the pause after it, in such durations."""
 
 
 class Files:
@@ -119,7 +119,7 @@ TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress o
 
 
 class LiveTerminal:
-    """The output while tests run: permanent lines, and on a terminal a line of progress."""
+    """The output while tests run: permanent lines and, on a terminal, a progress line."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -131,14 +131,14 @@ class LiveTerminal:
 
     @property
     def rewrites(self) -> bool:
-        """True if the line of progress can be overwritten."""
+        """True if the progress line can be overwritten."""
         if self.writer is None or self.is_parallel:
             return False
         is_terminal = self.writer.isatty  # an attribute in earlier versions of pytest, a method in later versions
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
-        """Write a line of progress, which ``line`` creates for a width in columns."""
+        """Write the progress line that ``line`` returns for a width in columns."""
         if self._config.get_verbosity() < 0:
             return
         if not self.rewrites:
@@ -159,7 +159,6 @@ class LiveTerminal:
         self._has_line = False
 
     def write(self, lines: Iterable[str]) -> None:
-        """Write permanent lines."""
         if self.writer is None:
             return
         with uncaptured(self._config):
@@ -177,7 +176,7 @@ class LiveTerminal:
 
 
 class Reporter:
-    """Hooks that write on the terminal and fill the record of the session."""
+    """Hooks that write to the terminal and fill the session's record."""
 
     def __init__(self, config: pytest.Config, files: Files) -> None:
         self._config = config
@@ -190,7 +189,7 @@ class Reporter:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Record the reports of items, and print the findings of a search after its teardown."""
+        """Record the reports on items, and print a search's findings after its teardown."""
         message = getattr(report, "pafot") if report.when == PHASE else None  # noqa: B009
         if message is None:
             self._take_phase(report)
@@ -210,7 +209,7 @@ class Reporter:
         return result
 
     def _show_block(self, report: pytest.TestReport) -> None:
-        """Replace pytest's text for a failure with a block on the finding."""
+        """Replace pytest's text about a failure with a block about the finding."""
         from pytest_pafot.report import terminal  # noqa: PLC0415
         from pytest_pafot.searches.events import Ending  # noqa: PLC0415
 
@@ -279,7 +278,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return how pytest reports a replay that passes."""
+        """Return the status that pytest shows for a passing replay."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         shown = dict(report.user_properties).get("pafot")
@@ -287,7 +286,6 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report the remaining findings."""
         self._live.erase_progress()
         # If an interrupt or a dead worker prevented the teardown of a search, its findings are still to be reported.
         for node_id in list(self._pending):
@@ -351,7 +349,7 @@ class Reporter:
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _expand(self, search_id: str) -> None:
-        """Report the findings of a search, the worst first, like items of the next session."""
+        """Report a search's findings to pytest, the worst first, with the node ids of their future replays."""
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         # pytest counts each new finding like an item, with the node id of its future replay.
@@ -371,7 +369,7 @@ class Reporter:
 
 
 def unclaimed(config: pytest.Config) -> list[str]:
-    """Return warnings about dead processes that no test of this session has handled."""
+    """Return warnings about dead processes that no test in this session has handled."""
     from pytest_pafot.execution.crash_records import CrashRecordError, leftovers, records_of  # noqa: PLC0415
 
     try:

@@ -1,4 +1,4 @@
-"""The item of a search, which fails if there are new findings."""
+"""The item for a search, which fails if there are new findings."""
 
 from __future__ import annotations
 
@@ -60,20 +60,20 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders from which this session has removed unfinished files."""
 
 CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
-"""The workers of ``--pafot-dask``, or the error of a failed connection."""
+"""The workers for ``--pafot-dask``, or the error from a failed connection."""
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
 
 
 OF_SUITE = "record_testsuite_property"
-"""The fixture that records properties of the session."""
+"""The name of the fixture that records properties of the session."""
 
 OF_ONE_CALL = {
     "pytest_benchmark": "can be called only once in a test",
     "pytest_codspeed": "can be called only once in a test",
     "syrupy": "numbers its snapshots by the calls in a test",
 }
-"""Packages with fixtures that work in only one call of the test function, with the reason."""
+"""Packages with fixtures that work in only one call of the test function, each with the reason."""
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
@@ -148,10 +148,10 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
 
 
 def policy_of(item: pytest.Item) -> Callable[..., Any]:
-    """Return the policy factory of an item. The item's fixtures must be set up.
+    """Return an item's policy factory. The item's fixtures must be set up.
 
     Raises:
-        RequestError: if the fixture of the policy returns no factory.
+        RequestError: if the policy's fixture does not return a factory.
     """
     ads = item.stash[REQUEST].ads
     return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
@@ -169,8 +169,8 @@ def bound_test(item: pytest.Function) -> Test:
         package = type(value).__module__.partition(".")[0]
         if package in OF_ONE_CALL:
             raise RequestError(
-                f"expected a test function that can be called for many runs, received one with the fixture {name!r} of "
-                f"{package}. This fixture {OF_ONE_CALL[package]}. Use it in a test without @pafot.search"
+                f"expected a test function that can be called for many runs, received one that uses the fixture "
+                f"{name!r} from {package}. This fixture {OF_ONE_CALL[package]}. Use it in a test without @pafot.search"
             )
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
@@ -198,7 +198,7 @@ def bound_test(item: pytest.Function) -> Test:
 
 
 def _needs_only_run(item: pytest.Function) -> bool:
-    """Return whether forked processes can evaluate runs, because the test function takes only the run."""
+    """Return whether the test function takes only the run, so that forked processes can evaluate runs."""
     # Other fixtures may store something in this process. A debugger and pytest-check also need all runs in this
     # process.
     is_plain = set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
@@ -217,7 +217,7 @@ def _once(record: Any) -> Callable[[str, object], None]:
 
 
 def run_search(item: pytest.Function, request: Request) -> None:
-    """Run a search. Fail the item if there is a new finding, or if the search tested too little."""
+    """Run a search, and fail the item if there is a new finding or the search tested too little."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     today = date.fromisoformat(shared.today)
@@ -257,7 +257,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
     alike = [f"{plural(summary.known[id_], 'run')} failed like {id_}" for id_ in late if id_ in summary.known]
     if alike:
-        _fail(item, "run pytest again, since these failures were saved after the collection", alike)
+        _fail(item, "run pytest again, because these failures were saved after the collection", alike)
     if summary.reason is Ending.REPLAYS:
         return
     if result.skip is not None:
@@ -269,14 +269,14 @@ def run_search(item: pytest.Function, request: Request) -> None:
 
 
 def exception_for_pytest(exception: BaseException) -> BaseException:
-    """Return the exception for pytest, without a traceback for a :class:`PlainFailure`."""
+    """Return the exception to raise in pytest, without a traceback for a :class:`PlainFailure`."""
     is_plain = isinstance(exception, PlainFailure)
     return pytest.fail.Exception(str(exception), pytrace=False) if is_plain else exception
 
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """An object that sends the events of a search to the controller."""
+    """The sender of a search's events to the controller."""
 
     item: pytest.Function
     settings: Settings
@@ -339,6 +339,6 @@ def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
 
 def _no_collecting(what: str) -> str:
     return (
-        f"expected a test function that raises at its first failure, received one with {what}, which only collects "
-        "failures. Such a function returns as if it passed. Use `assert`, and write a separate test for each property"
+        f"expected a test function that raises at its first failure, received one that uses {what}, which only "
+        "collects failures. Such a function returns as if it had passed. Use `assert`, and write one test per property"
     )

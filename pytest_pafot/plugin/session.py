@@ -1,4 +1,4 @@
-"""The options, the shared values and the messages of a session."""
+"""The options, shared values and messages of a session."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Optio
 from pytest_pafot.support.errors import RequestError, flag
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
-"""The types of ini keys that are not strings, by kind of option."""
+"""The types of ini keys that are not strings, by the option's kind."""
 _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
 """A pattern for the value in pytest's error message about an ini key."""
 
@@ -44,7 +44,7 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
-    """Return the values of all options for an item, given the arguments of its mark.
+    """Return the values of all options for an item, given its mark's arguments.
 
     Raises:
         RequestError: if a value is invalid. The message names its source.
@@ -71,7 +71,7 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
 
 
 def value_if_right(config: pytest.Config, name: str) -> Any:
-    """Return the value of an option of the session, or None if it is invalid, which each search reports."""
+    """Return the session's value of an option, or None if it is invalid. Each search reports an invalid value."""
     try:
         return option_value(config, BY_NAME[name], {})
     except RequestError:
@@ -122,7 +122,7 @@ class Shared:
 
 
 class Inventory(NamedTuple):
-    """The collected items and files as strings that pytest-xdist can send."""
+    """The collected items and files, as strings that pytest-xdist can send."""
 
     driven: set[str]  # node ids of the items that will run a policy
     corpora: set[str]  # the corpora of the collected tests
@@ -131,18 +131,18 @@ class Inventory(NamedTuple):
 
 
 def first(names: Sequence[str]) -> str:
-    """Return the first five names, and the number of the other names."""
+    """Return a list of the first five names, and the number of the remaining names."""
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def cause_of(config: pytest.Config) -> str:
-    """Return why a session must fail if something was not tested, or an empty string."""
+    """Return the reason why a session must fail if something was not tested, or an empty string."""
     strict = BY_NAME["strict_health"]
     return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
 
 
 def call_of(config: pytest.Config) -> list[str]:
-    """Return the arguments with which pytest was called, without those in its configuration file."""
+    """Return pytest's command-line arguments, without those from its configuration file."""
     return [*map(str, config.invocation_params.args), *shlex.split(os.environ.get("PYTEST_ADDOPTS", ""))]
 
 
@@ -156,11 +156,11 @@ INVENTORY = pytest.StashKey[Inventory]()
 GIVEN = pytest.StashKey[list[str]]()
 """The paths and node ids on the command line."""
 SESSION = pytest.StashKey[Session]()
-"""The record of the session, which stays empty in a worker."""
+"""The session's record, which stays empty in a worker."""
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
-    """Return a context in which output reaches the terminal during a test."""
+    """Return a context in which a test's output reaches the terminal."""
     manager = config.pluginmanager.get_plugin("capturemanager")
     silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
     return silent
@@ -178,7 +178,7 @@ def base_line(config: pytest.Config) -> str:
 
 
 def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) -> str:
-    """Return a line with the maximum number of runs, or an empty string if it is unknown."""
+    """Return a line with the maximum number of runs, or an empty string if that number is unknown."""
     # The counts are upper limits: a search may end early.
     most = Counter[str]()
     for marker in markers:
@@ -188,7 +188,7 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
     counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
-    return counts and f"pafot: at most {counts}; simplifying failures about doubles the number of decisions"
+    return counts and f"pafot: at most {counts}. Simplifying failures roughly doubles the number of decisions"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
@@ -215,7 +215,7 @@ def end_in_order(config: pytest.Config) -> None:
 
 
 def guard_exits(config: pytest.Config) -> None:
-    """Fail the session if a policy calls ``os._exit`` or ``os.exec*`` in this process."""
+    """Make the session fail if a policy calls ``os._exit`` or ``os.exec*`` in this process."""
     # After the session the functions stay replaced, because a thread or an exit function may still call them.
     if isinstance(os._exit, partial):
         return  # this session runs inside a test of another session
@@ -251,14 +251,14 @@ def guard_exits(config: pytest.Config) -> None:
 
 
 def exit_code(session: pytest.Session) -> int:
-    """Return the exit code of a session that ends."""
+    """Return the exit code of an ending session."""
     # A second Ctrl-C may arrive before pytest has handled the first one.
     is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
     return int(pytest.ExitCode.INTERRUPTED if is_interrupted else session.exitstatus)
 
 
 def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Call a function that writes a file. Return the reason and a solution if it fails, or an empty string.
+    """Write a file with a function. If that fails, return the reason and a solution, otherwise an empty string.
 
     ``name`` is the path as the user has written it.
     """
@@ -271,7 +271,7 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
     except OSError as error:
         from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
-        return f"{error.strerror or error}; {way_out(error, 'or name another file')}"
+        return f"{error.strerror or error} ({way_out(error, 'or name another file')})"
     return ""
 
 
@@ -299,7 +299,7 @@ class Header:
 PHASE = "pafot"  # the phase of a report that is a message
 
 AS_SAVED = "pafot_saved"
-"""The attribute of a report with the id and the file of a failing saved scenario, as JSON in ASCII."""
+"""The name of a report's attribute with the id and file of a failing saved scenario, as ASCII JSON."""
 
 
 class Messages:
@@ -320,6 +320,6 @@ class Messages:
 
 
 def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
-    """Return a report on a phase of an item, by default a passed phase."""
+    """Return a report on one phase of an item, by default a passed phase."""
     passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
     return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})

@@ -1,7 +1,7 @@
-"""Policies from files and programs, each as an ADS factory in one line.
+"""ADS factories for policies that are files or programs.
 
 A factory is a frozen value that can be pickled. Models of Stable-Baselines3 and statistics of VecNormalize are pickles,
-so loading them runs the code that they contain. A corpus file cannot name a pickle.
+so loading a file runs the code that it contains. A corpus file cannot name a pickle.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ def sb3(
     algorithm: str | type[Any] | None = None,
     deterministic: bool = True,
 ) -> Sb3Policy:
-    """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Needs ``pytest-pafot[sb3]``.
+    """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Requires ``pytest-pafot[sb3]``.
 
-    The world must have the observations and actions of the training. Decisions are exactly those of ``model.predict``.
+    The world must have the same observations and actions as the training environment. Decisions are exactly those of
+    ``model.predict``.
 
     Args:
         file: zip file that ``model.save`` wrote.
@@ -62,7 +63,7 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
         command: program and arguments in a list, as for ``subprocess``, relative to the folder in which pytest runs.
         keep: True if the program continues with the next scenario, False to restart it for each one. A program that
             ended, hung or returned no valid line is always restarted.
-        timeout: time to wait for a line [s], after which the program is killed. By default, only the world's
+        timeout: time [s] to wait for a line, after which the program is killed. By default, only the world's
             ``hang_limit`` ends the wait.
     """
     from pytest_pafot.policies.programs import ProgramLoader  # noqa: PLC0415  (imported only if used)

@@ -67,7 +67,7 @@ class Sb3Policy:
 
     @functools.cached_property
     def loading_hint(self) -> str:
-        """A sentence that explains why statistics of VecNormalize seem to be missing, or an empty string."""
+        """A sentence that explains why VecNormalize statistics seem to be missing, or an empty string."""
         try:
             return "" if self.vecnormalize is not None else _missing_statistics(self.file)
         except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
@@ -113,13 +113,13 @@ class Sb3Policy:
         return found
 
     def __call__(self) -> BaselineAds:
-        """Return a new ADS, without any earlier observation."""
+        """Return a new ADS, which has not received any observation."""
         return BaselineAds(self.loaded)
 
     def check_world(self, world: Any) -> None:
-        """Check that the actions, and the shape and type of the stacked observations, fit the model.
+        """Check that the world's actions and stacked observations fit the model.
 
-        Observations of the user's own simulator are unknown before a run, in which the model rejects unsuitable ones.
+        The observations of a user's own simulator are unknown before a run. The run fails if they do not fit.
         """
         model = self.loaded
         if not getattr(world, "is_native", False) and not model.fits(world.observation_space, world.action_space):
@@ -146,7 +146,7 @@ def _changed_at(file: Path) -> int:
 
 
 class BaselineModel:
-    """A loaded model, with the changes that the wrappers of its training made to observations."""
+    """A loaded model, with the changes to observations that the wrappers of its training made."""
 
     # `statistics` is a `VecNormalize` without its environments, or None.
     def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
@@ -157,7 +157,7 @@ class BaselineModel:
         self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
 
     def fits(self, observation_space: Any, action_space: Any) -> bool:
-        """Return whether the observations and actions of an environment suit the model."""
+        """Return whether an environment's observations and actions suit the model."""
         own, other = self.observation_space, observation_space
         if type(own) is not type(other) or self.action_space != action_space:
             return False
@@ -167,9 +167,9 @@ class BaselineModel:
         return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
 
     def stack(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
-        """Return the stacked observations including a new one, and the model's input.
+        """Return the stacked observations, with a new one added, and the model's input.
 
-        ``frames`` is the previous stack; None at the first observation.
+        ``frames`` is the previous stack, or None for the first observation.
         """
         if isinstance(observation, dict):
             return None, self._normalised(observation)
@@ -200,7 +200,7 @@ class BaselineAds:
         self._is_first = True
 
     def __call__(self, observation: Any) -> Any:
-        """Return the environment's action."""
+        """Return the action for the environment."""
         self._frames, seen = self._model.stack(self._frames, observation)
         action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
         self._is_first = False
@@ -208,7 +208,7 @@ class BaselineAds:
 
 
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
-    """Return the axis along which ``count`` arrays of one shape stack to another shape, or None."""
+    """Return the axis along which ``count`` arrays of the shape ``one`` form the shape ``stacked``, or None."""
     for axis in range(len(one)):
         if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
             return axis
@@ -216,10 +216,10 @@ def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int
 
 
 def push_observation(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
-    """Return the last ``count`` observations, stacked to an array of a shape, with the newest last.
+    """Return the last ``count`` observations, stacked to an array of the given shape, with the newest last.
 
     Raises:
-        AdsFactoryError: if ``count`` observations do not give an array of this shape.
+        AdsFactoryError: if ``count`` observations do not fit this shape.
     """
     # `VecFrameStack` of Stable-Baselines3 stacks in this way. Zeros replace missing observations.
     axis = stacking_axis(observation.shape, shape, count)

@@ -1,4 +1,4 @@
-"""Planners that are separate programs in any language and exchange lines of JSON."""
+"""Planners that are separate programs in any language, with which pytest-pafot exchanges lines of JSON."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ CHUNK = 1 << 16  # largest number of bytes to read from a pipe in one call
 
 
 class ProgramEnded(Exception):  # noqa: N818  (findings show this name, so it names the error)
-    """The program ended instead of responding."""
+    """An error for a program that ended instead of responding."""
 
 
 class ProgramTimeout(Exception):  # noqa: N818  (for the same reason)
-    """The program did not respond in time."""
+    """An error for a program that did not respond in time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class ProgramLoader:
             raise refused("a timeout above 0 [s], or None", repr(self.timeout), "use seconds, such as timeout=5")
 
     def __call__(self) -> ProgramAds:
-        """Return a new ADS, with an idle program of this process or with a new program."""
+        """Return a new ADS, with an idle program of this process or else a new program."""
         idle = _idle(self)
         while idle:
             program = idle.pop()
@@ -131,10 +131,10 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
 
 
 def action_of(line: bytes) -> Any:
-    """Return the action in a program's line: a pair in SI units, a ``LaneCommand``, or an environment's own action.
+    """Return the action in a program's line: a pair in SI units, a ``LaneCommand``, or an action for the environment.
 
     Raises:
-        BadAction: for any other line.
+        BadAction: if the line contains anything else.
     """
     answer = None
     # The messages are part of the signatures of saved findings. With other words, known failures would become new ones.
@@ -164,7 +164,7 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class Program:
-    """A running program, which ends when it is no longer needed or when this process ends.
+    """A running program, which is ended when it is no longer needed or when this process ends.
 
     Raises:
         AdsFactoryError: if the program cannot be started.
@@ -199,7 +199,7 @@ class Program:
 
     @property
     def is_ready(self) -> bool:
-        """True if the program runs and waits for a line: it has written nothing since its last line."""
+        """True if the program is running and waits for a line, without having written anything in advance."""
         with suppress(ProgramEnded, BadAction):
             self._receive(0.0)
             return not self._buffer
@@ -234,7 +234,7 @@ class Program:
         return answer
 
     def _receive(self, seconds: float, *, is_asking: bool = False) -> bool:
-        """Wait for output and read it. Return whether the program accepts more of its input line."""
+        # Wait for output and read it. The result is True if the program accepts more of its input line.
         pipes = select.poll()  # select.select rejects descriptors above 1023
         for source in self._sources:
             pipes.register(source, select.POLLIN)
@@ -298,7 +298,7 @@ class Program:
             self._read_stderr()
 
     def new_output(self) -> str:
-        """Return the output on stderr since the last call, without the middle if it is long."""
+        """Return the output on stderr since the last call, without the middle part if it is long."""
         self._read_rest()
         words, omitted = bytes(self._stderr), self._omitted
         self._stderr.clear()

@@ -1,4 +1,4 @@
-"""The report page: one HTML file that needs no network, and that has the same text if scripts are disabled."""
+"""The report page: one HTML file that needs no network, and shows the same text if scripts are disabled."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pytest_pafot.support.text import capitalised, content_hash, json_in_script,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """A finding on the page, with its data, the number of runs that failed in this way, its result and its command."""
+    """A finding on the page, with its data, the number of runs with this failure, its label and its replay command."""
 
     seen: Seen
     view: Mapping[str, Any]
@@ -38,12 +38,12 @@ class Shown:
 
     @property
     def test(self) -> str:
-        """The name of the finding's test, with parameters."""
+        """The name of the finding's test, including parameters."""
         return self.seen.finding.test.rpartition("::")[2]
 
     @property
     def who(self) -> str:
-        """The responsible side, or ``check`` or ``error``."""
+        """The side responsible for the collision, or ``check`` or ``error``."""
         if self.view["check"] is not None:
             return "check"
         return "error" if self.view["event"]["kind"] in ("ads_error", "hang") else self.seen.responsible
@@ -81,7 +81,7 @@ WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
 
 
 def mark(finding: Shown) -> str:
-    """Return the HTML of a finding's symbol."""
+    """Return the HTML for a finding's symbol."""
     return f'<span class="mark" aria-hidden="true">{SYMBOLS.get(finding.who, "?")}</span>'
 
 
@@ -113,7 +113,7 @@ def finding_list(findings: Sequence[Shown]) -> str:
 
 
 def finding_article(finding: Shown, index: int) -> str:
-    """Return the HTML article on one finding, with an empty element for its picture."""
+    """Return the HTML article about one finding, with an empty element for its picture."""
     seen, view, is_check, responsible = finding.seen, finding.view, finding.who == "check", finding.seen.responsible
     besides, traffic = view["besides"], STYLES[seen.finding.scenario.traffic].described
     tags = [finding.label, view["assertion"] * (not is_check), traffic, plural(finding.runs, "run"), seen.worst]
@@ -205,9 +205,9 @@ WHOLE = 100
 
 
 def render_page(session: Session, *, title: str, command: str) -> tuple[str, str]:
-    """Return the record of a session as an HTML page, and a summary of its content.
+    """Return the record of a session as an HTML page, and a summary of the page's content.
 
-    Equal records give equal pages, except for the time of writing.
+    Except for the time of writing, equal records give equal pages.
     """
     style = _asset("page.css")
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
@@ -293,7 +293,7 @@ def _asset(name: str) -> str:
 
 
 def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterator[tuple[str, str]]:
-    """Yield the names and values of facts about a session, such as its seeds, replays and versions."""
+    """Yield the names and values of facts about a session, such as seeds, replays and versions."""
     if seeds := dict.fromkeys(search.base_seed for search in searches):
         yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
     replays = sorted(replays, key=lambda each: each.node_id)
@@ -302,7 +302,7 @@ def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterat
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.result.startswith(("drifted", "passes")):
+        if each.result.startswith(("drifted", "passed")):
             yield each.result, ": ".join(filter(None, [each.node_id, each.on_search or each.detail]))
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")

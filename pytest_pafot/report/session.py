@@ -1,4 +1,4 @@
-"""The record of a pytest session: items add events to it, and all reports are written from it.
+"""The record of a pytest session: items add events, and all reports are written from these.
 
 Every session has a record, so this module imports little and defines no dataclass.
 """
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 # What to do about saved scenarios that the session did not replay.
 ADVICE = (
-    "expected a test that replays each of them. Was their test skipped, renamed, moved or deleted, or do testpaths, "
-    "python_files, norecursedirs or a hook exclude it? "
+    "expected a test that replays each saved scenario. Was the test skipped, renamed, moved or deleted, or do "
+    "testpaths, python_files, norecursedirs or a hook exclude it? "
     "If the test was renamed or moved, move the saved files to its folder MODULE/TEST in the corpus, and correct the "
-    "node id in their lines `test:`. If it was deleted, delete the files"
+    "node id in the line `test:` of each file. If the test was deleted, delete the files"
 )
 WHY_UNNAMED = (
     "pytest does not collect it. Rename the test, its class or its file so that pytest collects it, or set __test__ to "
@@ -64,7 +64,7 @@ class Session:
         vars(self).update(known)
 
     def add(self, event: Event, item: str = "", view: str = "") -> None:
-        """Add an event of an item. ``view`` is the data of a finding for the page, as JSON."""
+        """Add an event from an item. ``view`` is a finding's data for the page, as JSON."""
         from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
         from pytest_pafot.searches.events import Note, Search  # noqa: PLC0415
 
@@ -94,7 +94,7 @@ class Session:
         return find
 
     def add_failure(self, node_id: str, phase: str, text: str, reason: str, *, saved: Mapping[str, str] | None) -> None:
-        """Add the failure of an item, even if its search or replay could not start.
+        """Add an item's failure, even if its search or replay could not start.
 
         ``saved`` has the id, file and test of a replayed scenario. It is None for a search.
         """
@@ -110,7 +110,7 @@ class Session:
 
     @property
     def ended(self) -> list[Search]:
-        """The searches that have reported their end, in the order of the reports."""
+        """The searches that have reported their end, in the order in which they reported it."""
         return [each for each in self.searches.values() if each.reason]
 
     @property
@@ -125,7 +125,7 @@ class Session:
 
     @property
     def findings(self) -> dict[str, Seen]:
-        """The findings by node id. Replays include the result of the search of the same test."""
+        """The findings by node id. A replay includes the result of its test's search."""
         from pytest_pafot.searches.events import by_test, concluded  # noqa: PLC0415
 
         searches = by_test(self.ended)
@@ -156,7 +156,7 @@ class Session:
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
-        """Report an error in this context as a problem, because pytest would lose all failures of the session."""
+        """Record an error in this context as a problem. If raised, it would make pytest lose all failures."""
         try:
             yield
         # An interrupt ends only the work in this context, since the session is ending anyway.

@@ -89,12 +89,12 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
 
 
 def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
-    """Return the JSON entry of a finding. None represents an unusable file.
+    """Return a finding's JSON entry. None represents an unusable file.
 
     ``more`` contains values that only the session knows.
 
     Keys:
-        node_id: node id of the item that replays it; for a new finding, from the next session.
+        node_id: node id of the item that replays it; a new finding has this item from the next session.
         id: name of its file without the suffix.
         test: node id of its test.
         status: `new`; `no worse` if it does not count in a comparison with a reference; the label of a replay; or
@@ -111,21 +111,21 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         failure, assertion, outcome, time: as in `expect` of its file.
         responsible: `ego`, `npc`, `both` or `none`.
         takeover: latest takeover by a careful driver that avoids the collision [s before the impact], or null.
-        size: size of the scenario in words.
-        traffic: driving style of the NPCs in words; empty for the style of the paper.
+        size: description of the scenario's size.
+        traffic: description of the NPCs' driving style; empty for the paper's style.
         runs: number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).
         worst: `number` (from 0) and `severity` of the worst of these runs.
         seed, algorithm, policy: as in `found` of its file.
         against: reference that passed the scenario when it was found; empty without a reference.
         rate: for a policy that draws random numbers, the number `failing` of `runs`, with different seeds if `of` is
             `seeds`. For a replay, `now` has the new numbers.
-        flaky: the difference between two runs of it, or null.
-        unshrunk: why it was not confirmed or not fully shrunk, such as a lack of time.
+        flaky: the difference between two runs of its scenario, or null.
+        unshrunk: why it was not confirmed or fully shrunk, such as a lack of time.
         moment: last decision that could have avoided it, or null: `time` [s]; `npc`; `seen`, where the policy saw the
             NPC; `action`, its response; `hidden`, the response with the NPC hidden (empty if it is the same, null
             if unknown); `otherwise`, the smallest change of the NPC that changes the response; `reference`, the
             response of the reference; `conditions` that the policy `evaluated`, and the vehicle that they are `about`.
-        searched: if `fixed`, number of runs of the test's search, all without such a failure.
+        searched: if `fixed`, number of runs of the test's search, all without this failure.
         drawn: number of random scenarios among these.
         elsewhere: id of another finding with the same failure, if the scenario of this finding passes.
         reference_passes: whether the reference passes the scenario of a replay, or null.
@@ -141,7 +141,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
 def to_text(session: Session, *, root: str, day: str | None = None) -> str:
     """Return the record of a session as JSON with sorted keys.
 
-    Paths in strings become relative to the folder ``root``.
+    Paths in strings are made relative to the folder ``root``.
 
     Keys:
         exit: pytest's exit code; null while the session runs, or if it was killed.
@@ -149,7 +149,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         versions: versions of the packages that affect a run.
         searches, findings: in the order of node ids; `findings` contains new and replayed ones.
         orphans: folders with saved scenarios that the session did not replay.
-        warnings, problems: warnings, such as about expired acceptances and skipped tests; errors outside the tests.
+        warnings, problems: warnings, for example about expired acceptances and skipped tests; errors outside tests.
     """
     same = partial(portable, root=root)
     told = {node_id: {"result": session.results.get(node_id, "")} for node_id in (*session.searches, *session.seen)}
@@ -206,7 +206,7 @@ MAX_TOLD = 5
 
 
 def markdown(session: Session, page: str = "") -> str:
-    """Return the summary of a session in Markdown; empty if the session did not use this plugin.
+    """Return a session's summary in Markdown, or an empty string if the session did not use this plugin.
 
     ``page`` is the path of the report page, or empty.
     """
@@ -231,7 +231,7 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
     for status, group in groups.items():
         if group:
             yield from ("", f"**{GROUPS[status]}**", "")
-            is_failure = not status.startswith(("accepted", "passes"))
+            is_failure = not status.startswith(("accepted", "passed"))
             most = left if is_failure else MAX_LISTED
             left -= min(most, len(group)) if is_failure else 0
             for lines in group[:most]:
@@ -280,7 +280,7 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     if finding.xfail is not None and seen.label == "accepted":
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
     yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
-    is_pass = seen.result.startswith("passes")
+    is_pass = seen.result.startswith("passed")
     yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told(seen)[1:]))
     missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
     yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"

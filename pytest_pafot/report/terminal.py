@@ -1,4 +1,4 @@
-"""The plugin's output in the terminal: progress, findings, failures of searches, and the summary of the session.
+"""The plugin's output in the terminal: progress, findings, failures of searches, and the session's summary.
 
 Lines are ASCII and fit the width of the terminal, except for node ids, paths and the user's own words.
 """
@@ -20,13 +20,13 @@ from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
-from pytest_pafot.searches.events import UNTESTED, Note, Progress, Search
+from pytest_pafot.searches.events import UNTESTED, Ending, Note, Progress, Search
 from pytest_pafot.support.errors import OF_SEARCH, command, flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, capitalised, fitted_lines, listed, plural, wrapped_to
 
 Event = Progress | Search | Seen | Note
-"""An event that an item sends to the record of the session."""
+"""An event that an item sends to the session's record."""
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
@@ -43,6 +43,9 @@ MAX_FINDS = 20
 MAX_ANNOTATED = 5
 MAX_LEFT = 5
 MAX_REPLAYS = 10
+# Why a search ended early, as the end of a sentence.
+WHY = {Ending.FINDINGS: "there were enough findings", Ending.REPLAYS: "it only replayed", Ending.ERROR: "of an error",
+       Ending.INTERRUPTED: "it was interrupted", Ending.MAX_TIME: f"of {Ending.MAX_TIME}"}  # fmt: skip
 
 
 BEST_ACTION = "or make a model take its best action (in Stable-Baselines3: predict(..., deterministic=True))"
@@ -54,7 +57,7 @@ DRAWS_IN_WRAPPERS = (
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """Return one line of progress. If it is too long, shorten the node id, then the end."""
+    """Return a progress line. If it is too long, shorten the node id first and then the end."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     pace = f"{1 / speed:.0f} s per run" if 0 < speed < 1 else f"{plural(round(speed), 'run')}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
@@ -85,7 +88,7 @@ def found_line(seen: Seen) -> str:
 
 
 def told(seen: Seen) -> list[str]:
-    """Return what happened, in the same words for all reports: headline, sentences and decision."""
+    """Describe what happened, in the same words for all reports: headline, sentences and decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
     headline = seen.headline
     for fault in AT_FAULT.values() if sentences else ():  # The sentences state it.
@@ -111,7 +114,7 @@ def block_lines(
     width: int = WIDTH,
     is_whole: bool = False,
 ) -> list[str]:
-    """Return the block on a failure, with at most twelve lines at 80 columns, including its title.
+    """Return the block about a failure, with at most twelve lines at 80 columns, including its title.
 
     Args:
         seen: the failure.
@@ -145,15 +148,15 @@ def block_lines(
     parts += [(4, f"{capitalised(text)}.") for text in _remarks_on(seen)]
     parts += [(0, f"It was simplified {how}.") for how in shrunk_lines(finding) if is_whole]
     like = f"{1 + seen.alike.runs} of {runs} runs" if seen.alike.runs else "no other run"
-    worst = seen.worst if seen.alike.runs or not seen.worst else f"the original run {seen.alike.severity}"
-    parts += [(2, f"{capitalised(like)} failed in the same way{worst and f'; {worst}'}.")] if runs > 1 else []
+    worst = capitalised(seen.worst) if seen.alike.runs or not seen.worst else f"The original run {seen.alike.severity}"
+    parts += [(2, f"{capitalised(like)} failed in the same way{worst and f'. {worst}'}.")] if runs > 1 else []
     parts += [(1, f"The reference {finding.expect.against} passes this scenario.")] if finding.expect.against else []
     if not now.new:
-        parts.append((1, f"Result of the replay: {': '.join(filter(None, [seen.label, seen.detail]))}."))
+        parts.append((1, f"Result of the replay: {seen.label}{seen.detail and f' ({seen.detail})'}."))
     elif seen.detail:
-        parts.append((0, f"The saved file {seen.detail}." if seen.path else f"It is not saved: {seen.detail}."))
+        parts.append((0, f"The saved file {seen.detail}." if seen.path else f"It was not saved: {seen.detail}."))
     if now.beyond:
-        accepts = f"the line `xfail:` of {seen.path} accepts `{expect.brief}`, but this failure is `{now.beyond}`"
+        accepts = f"the line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {now.beyond}"
         way_out = "Correct the policy, or delete the file, search again and accept the new finding"
         parts.append((0, f"The failure is not accepted: {accepts}. {way_out}."))
     while not is_whole and sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts) > ROOM - bool(again):
@@ -163,7 +166,7 @@ def block_lines(
         parts.remove(spared)
     lines = fitted_lines([ascii_text(text) for _, text in parts], width)
     if not seen.path and seen.detail != flag("save", "none"):
-        lines += ["The file would be:", *(ascii_text(f"  {line}") for line in text_of(finding).rstrip().splitlines())]
+        lines += ["The file would contain:", *(ascii_text(f"  {line}") for line in text_of(finding).splitlines())]
     # The command is not wrapped, so that it can be copied.
     return [*lines, *([ascii_text(f"replay {again}")] if again else [])]
 
@@ -178,7 +181,7 @@ def _remarks_on(seen: Seen) -> list[str]:
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
-    """Return a line on how a finding was simplified, if it was."""
+    """Return a line about how a finding was simplified, if it was."""
     if finding.shrunk is None or not finding.shrunk.before:
         return []
     sizes = [each.split(", ") for each in (finding.shrunk.before, described(finding.scenario, finding.longest_run))]
@@ -189,7 +192,7 @@ def shrunk_lines(finding: Finding) -> list[str]:
 
 
 def event_of(kind: str, text: str) -> Event:
-    """Return the event of an item from its class name and its JSON."""
+    """Build an item's event from the name of its class and its JSON."""
     kinds: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
     return from_plain(kinds[kind], json.loads(text))
 
@@ -200,7 +203,7 @@ def ranked(findings: Iterable[Seen]) -> list[Seen]:
 
 
 def failure_message(search: Search) -> str:
-    """Return why the item of a search fails."""
+    """Return the reason why a search's item fails."""
     names = [f"{each.id}{' (flaky)' if each.is_flaky else ''}" for each in ranked(search.finds)]
     return f"{plural(len(names), 'new failure')} in {plural(search.runs, 'run')}: {_listed(names)}"
 
@@ -224,21 +227,19 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     texts += [f"{len(rows) - len(shown)} more kinds of failures"] if len(rows) > len(shown) else []
     texts += [f"{failing or 'None'} of {plural(drawn, 'random scenario')} failed: {share}"] if share else []
     untested = listed([f"{kinds[kind]} {kind}" for kind in UNTESTED if kinds[kind]])
-    several = [
-        plural(search.runs, "run") + (f" ({untested})" if untested else ""),
-        *([f"{more['known']} with a known result"] if more["known"] else []),
-    ]
-    several += [f"{count} to simplify failures"] if (count := more["shrink"] + more["moment"]) else []
-    decided = f"; {search.decisions.total():,} decisions" if search.decisions.total() else ""
+    several = [plural(search.runs, "run") + (f" ({untested})" if untested else "")]
+    several += [f"{plural(more['known'], 'scenario')} with a known result"] if more["known"] else []
+    several += [f"{plural(count, 'run')} to simplify failures"] if (count := more["shrink"] + more["moment"]) else []
+    several += [f"{count:,} decisions"] if (count := search.decisions.total()) else []
     # A session may have hundreds of searches without a failure, so each of them takes only one line.
     is_quiet = evaluated and search.reason.is_complete and not (search.failing or finds or is_whole)
-    texts += [] if is_quiet else [f"It took {search.seconds:.1f} s: {listed(several)}{decided}"]
+    texts += [] if is_quiet else [f"It took {search.seconds:.1f} s for {listed(several)}"]
     if not search.reason.is_complete:
         made = {"generations": search.generations, "runs": search.runs}
         left = [f"{made[what]} of {most} {what}" for what, most in search.asked.items() if made[what] < most]
-        texts.append(f"It ended early{', after ' if left else ''}{listed(left)}: {search.reason}")
+        texts.append(f"It ended early{', after ' if left else ''}{listed(left)}, because {WHY[search.reason]}")
     folders = dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path)  # noqa: PTH120
-    tail = "" if os.environ.get(OF_SEARCH) else "; commit the files"
+    tail = "" if os.environ.get(OF_SEARCH) else ". Commit the files"
     texts += [f"Saved in {' and '.join(folders)}{tail}"] if folders else []
     texts += [f"Not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path)]
     texts += [capitalised(search.compared)] if search.compared else []
@@ -249,7 +250,7 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
         texts += [f"{search.no_interaction} of these runs had no interaction"] if search.no_interaction else []
         texts += [] if search.reached is None else [f"NPCs reached {100 * search.reached:.0f} % of their goals"]
         texts += [capitalised(search.drawn)] if search.drawn else []
-        texts.append(f"Algorithm {search.algorithm}, seed {search.seed}, derived from {flag('seed', search.base_seed)}")
+        texts.append(f"Algorithm: {search.algorithm}, with seed {search.seed} from {flag('seed', search.base_seed)}")
     head = wrapped_to(ascii_text(f"{search.node_id}: {texts[0]}."), width)
     said = [*(f"{text}." for text in texts[1:]), *_remarks(search)]
     return [*head, *(line for text in said for line in _wrapped(text, width))]
@@ -261,7 +262,7 @@ def _remarks(search: Search) -> list[str]:
 
 
 def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
-    """Return the number of replays for each result, then the replays that need attention."""
+    """Return lines with the number of replays for each result, and then the replays that need attention."""
     if not replays:
         return []
     counts = sorted(Counter(replay.result for replay in replays).items())
@@ -301,7 +302,7 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
 
 
 def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
-    """Return the summary of a session, if there is anything to report."""
+    """Return the summary of a session as lines, or no lines if there is nothing to report."""
     lines, drawn = list[str](), set[str]()
     for search in session.ended:  # Describe a range of scenarios only once, even if several searches share it.
         new = replace(search, drawn="") if search.drawn in drawn else search
@@ -318,7 +319,7 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
         seeds = dict.fromkeys(f"pytest {flag('seed', each.base_seed)}" for each in session.ended if each.finds)
         again = f"{' or '.join(seeds)} repeats {'this search' if len(session.ended) == 1 else 'the searches'}"
-        lines += wrapped_to(f"pytest {flag('runs', 0)} replays the saved scenarios; {again}.", width)
+        lines += wrapped_to(f"pytest {flag('runs', 0)} replays the saved scenarios, and {again}.", width)
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
     for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
@@ -328,7 +329,7 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
 
 
 def further(page: str) -> tuple[str, str]:
-    """Return a path or a command that shows the remaining findings, and the end of a sentence about it."""
+    """Return a path or command that shows the remaining findings, and the end of a sentence about it."""
     return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
 
 

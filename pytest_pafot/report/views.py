@@ -1,4 +1,4 @@
-"""The data about a finding for the report page, from its file and the trace of a run."""
+"""The data about a finding for the report page, taken from its file and a run's trace."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ from pytest_pafot.world.limits import CLEARANCE
 
 Numbers = tuple[float | None, ...]
 Place = tuple[float, float, float]
-"""A gap that grows with the ego's speed: minimum [m], value at a standstill [m], growth [m per m/s]."""
+"""A gap that increases with the ego's speed: minimum [m], value at a standstill [m], increase [m per m/s]."""
 Stretch = tuple[float, float, str]
-"""A sequence of equal decisions: time of the first [s], time of the next different one [s], and a description."""
+"""A sequence of equal decisions: time of the first [s], time of the next different decision [s], and a description."""
 Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
-"""A title, sentences, and groups of code lines with the vehicle that they are about."""
+"""A title, sentences, and groups of code lines, each with the vehicle that its lines are about."""
 View = dict[str, Any]
 """JSON-compatible data for the page.
 
-Positions are *along* the road, and *across* it from the centre of lane 0 to the right. Headings are relative to the
-road, positive to the right. Units are m, s since the start of the run, m/s, m/s^2 and rad. None means that a number
-does not exist.
+Positions are *along* the road, and *across* it to the right from the centre of lane 0. Headings are relative to the
+road, positive to the right. Units are m, s since the start of the run, m/s, m/s^2 and rad. None means that there is no
+number.
 """
 
 # The road in the picture of a run.
@@ -58,7 +58,7 @@ BEYOND = 150.0
 def road_view(trace: Trace, clearance: float) -> View:
     """Return the data of the road in a run.
 
-    A straight road has ``lanes``, their positions across. A curved road has ``shapes`` in world coordinates.
+    A straight road has ``lanes``, positions across the road. A curved road has ``shapes`` in world coordinates.
     """
     ahead, behind = places(STYLES[trace.scenario.traffic])
     road: View = {
@@ -176,22 +176,22 @@ FRAMES_PER_SECOND = 7
 
 
 def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> View:
-    """Return the data about a finding for the page, with its run if there is one.
+    """Return the data about a finding for the page, including its run, if any.
 
     Args:
         sighting: the finding.
-        note: text that follows the headline.
+        note: text to add after the headline.
         check: check that failed in the run; None if something else failed.
 
     Keys:
         headline, times, vehicles, road, instructions, decisions, ghost, event, check: data that the scripts draw.
         sentences: what happened, in words.
         besides: the collision of a run in which a check failed; otherwise empty.
-        deed: the sentence about the ego's error; empty if the ego is not at fault.
+        deed: a sentence about the ego's error; empty if the ego is not at fault.
         moment: the decision that could have avoided the failure, or the traceback of an exception.
         happened: all other known details.
         assertion: the line that failed, or the exception.
-        yaml: content of the file.
+        yaml: content of the finding's file.
     """
     finding, run = sighting.finding, sighting.run
     trace = None if run is None else run.trace
@@ -399,7 +399,7 @@ def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
 
 
 def zone_view(zone: Zone, length: float, width: float) -> View:
-    """Return the path of an NPC with a length [m], and the area of its conflict zone, drawn with a width [m]."""
+    """Return the path of an NPC that has a length [m], and the area of its conflict zone, drawn with a width [m]."""
     if not zone.line:
         return {"name": zone.way, "way": (), "area": (), "width": 0.0}
     # An NPC's centre is in the zone while any part of it may touch a vehicle there, so the area is shorter than the

@@ -33,7 +33,7 @@ JUDGED_OTHERWISE = "the same run got a different verdict when it was repeated"
 
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """The parts of a search that run and evaluate scenarios."""
+    """The parts of a search that run scenarios and evaluate the runs."""
 
     harness: Harness
     runner: Here
@@ -53,7 +53,7 @@ class Bench:
 
     @property
     def decisions(self) -> int:
-        """The number of decisions of the ADS in additional runs, except to confirm findings."""
+        """The number of ADS decisions in additional runs, excluding those that confirm findings."""
         return self.decisions_beside + self.runner.decisions - self.confirm_decisions
 
     def results(
@@ -139,11 +139,11 @@ class Bench:
         Args:
             scenario: the scenario as executed.
             expected: the failing run, which must repeat to the last bit; None if it depends on wall-clock time.
-            found: the signature of the failure; None to omit the verdict.
+            found: the failure's signature; None to omit the verdict.
 
         Returns:
-            The run if it shows the failure, its verdict, and the difference from the first run: empty if there is
-            none, None if there was no time to check.
+            The run if it reproduces the failure, its verdict, and the difference from the first run: empty if there is
+            no difference, None if there was no time to check.
         """
         began, before, seconds_of_run = self.clock(), self.runner.decisions, 1.0
         run = verdict = None
@@ -190,14 +190,14 @@ class Bench:
 
 
 def left_out_text(world: BaseWorld) -> str:
-    """Return a note on the environment's own methods that runs do not call, or an empty string."""
+    """Return a note about the environment's own methods that runs do not call, or an empty string."""
     methods = world.left_out
     if not methods:
         return ""
     names = " and ".join(f"`{name}`" for name in methods)
     changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
     return (
-        f"runs do not call the environment's own {names}, which may change {changed}; if a run needs that, write "
+        f"runs do not call the environment's own {names}, which may change {changed}. If a run needs that, write "
         "wrappers=[] in the pafot.World"
     )
 

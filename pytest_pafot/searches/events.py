@@ -22,7 +22,7 @@ from pytest_pafot.support.text import plural
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """The progress of a search, for a line on the terminal."""
+    """The progress of a search, for a line in the terminal."""
 
     node_id: str
     generation: int  # the generation in progress, from 1
@@ -82,7 +82,7 @@ class Paired:
 
     @property
     def is_worse(self) -> bool | None:
-        """True if the new policy fails more often, or None if that is unclear."""
+        """True if the new policy fails more often than the reference, or None if that is unclear."""
         return hits_more(self.only_new, self.only_reference, is_last=self.runs >= self.most)
 
     @property
@@ -96,13 +96,13 @@ class Paired:
 
     def __str__(self) -> str:
         cut = " before the time ran out" if self.is_cut else ""
-        counts = f"{self.only_new} fail only now, {self.only_reference} only before"
+        counts = f"{self.only_new} failed only with this policy, and {self.only_reference} only with the reference"
         return f"of {plural(self.runs, 'random scenario')}{cut}, {counts}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """The summary of a search. If it has no reason, the search has only started, or could not start.
+    """The summary of a search. Without a ``reason``, the search has only started, or could not start.
 
     Programs read these fields, and `result`, `message`, `runs` and `failing`.
 
@@ -111,7 +111,7 @@ class Search:
         reason: why the search ended; empty if it did not start, or ended early.
         algorithm: name of the algorithm.
         base_seed, seed: the value of `--pafot-seed` that repeats the search, and the seed of the search.
-        generations: number of complete generations.
+        generations: number of completed generations.
         asked: the requested numbers of `generations` and `runs`, if any.
         kinds, outcomes, responsibilities: runs by verdict, by how they ended, and by who was responsible. Each adds
             up to all runs. Verdicts are `failed`, `npc` if only an NPC is responsible, `common` if the reference fails,
@@ -125,10 +125,10 @@ class Search:
             other algorithms, after an error, or if the number of findings ended the search.
         no_interaction, reached: number of runs without interaction; fraction of instructions whose target was
             reached, null if unknown.
-        finds: ids of new findings.
+        finds: ids of the new findings.
         known: number of failing runs with the failure of a saved scenario, by its id.
         failures: the failures that occurred, each with the `id` of a finding, saved or new, and the `signature`.
-        drawn: a line on the range of scenarios.
+        drawn: a line about the range of scenarios.
         against: the reference; empty without one.
         paired: `runs`, the number of random scenarios that both policies ran, at most `most`; `only_new` and
             `only_reference`, the numbers of those in which only one policy failed. Null if no comparison was needed.
@@ -206,7 +206,7 @@ def by_test(searches: Iterable[Search]) -> dict[str, Search]:
 
 
 def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
-    """Return a replay. If it passes, add the conclusion from the search of its test."""
+    """Return a replay. If it passes, add the conclusion from its test's search."""
     search, now = searches.get(replay.test), replay.observed
     if search is None or replay.label != "passes":
         return replay
@@ -231,7 +231,7 @@ Listener = Callable[[SearchEvent], None]
 
 
 class Phase(NamedTuple):
-    """A step of the work after the runs of a search."""
+    """A step in the work that follows a search's runs."""
 
     text: str
     of: str = ""  # the id of the finding to which the work applies

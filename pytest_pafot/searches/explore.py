@@ -76,7 +76,7 @@ class Exploration:
 
     @property
     def sightings(self) -> tuple[Seen, ...]:
-        """The last event of each finding, in the order of discovery."""
+        """The last event about each finding, in the order of discovery."""
         last = {event.finding.id: event for event in self.events if isinstance(event, Seen)}
         return tuple(last[finding.id] for finding in self.findings)
 
@@ -95,7 +95,7 @@ def explore(
 ) -> Exploration:
     """Search for scenarios in which a property fails, without pytest.
 
-    A search with the node id, the base seed and the arguments of a test has the same findings as the test.
+    A search with the same node id, base seed and arguments as a test has the same findings.
 
     Args:
         ads: the factory, which is called once per run, a string ``module:factory[:argument]``, or a highway-env
@@ -104,11 +104,11 @@ def explore(
             test function. With several workers, it is called in their processes.
         world: the world, such as ``pafot.World("highway-v0")``, or a name such as ``"module:factory"``; by default
             ``pafot.Highway()``.
-        runs: number of runs after which the search ends; by default 100 if there is no limit of generations.
+        runs: number of runs after which the search ends; by default 100 if ``generations`` is not given.
         generations: number of generations after which the search ends.
         seed: the base seed. The seed of the search is derived from it and from the node id.
         node_id: node id of the corresponding test, without ``[search]``; by default made from ``holds``.
-        on_event: function that receives the events of the search as they happen.
+        on_event: function that receives the search's events as they happen.
         settings: other arguments of ``@pafot.search``, and the options ``corpus``, ``max_time``, ``stop_after`` and
             ``workers``. With ``corpus=``, findings are saved below that folder, and failures that are already saved
             there do not count as new. Without it, no finding is saved.
@@ -116,7 +116,7 @@ def explore(
     Raises:
         RequestError: if an argument is wrong, if assertions are disabled, or if nothing was found and most runs
             tested nothing.
-        Exception: if every run of the first generation ends in this exception, and it is no assertion.
+        Exception: if every run of the first generation ends in the same exception, unless it is an assertion.
     """
     check_asserts(holds)
     budget = {"runs": RUNS if runs is None and generations is None else runs, "generations": generations}
@@ -163,11 +163,11 @@ class AlgorithmRun:
         ads: the factory of the policy.
         holds: the property, as for :func:`explore`.
         world, space: the world, and the scenarios that the algorithm samples.
-        blame, fitness: as for :func:`explore`; by default the algorithm's own fitness.
-        seed: the seed of the algorithm, from which no other seed is derived.
+        blame, fitness: as for :func:`explore`, but the default fitness is the algorithm's own.
+        seed: the seed that the algorithm itself uses, unlike the base seed of :func:`explore`.
         generations: number of generations after which the run ends. For a random search, a generation is as many
             runs as the paper's population.
-        seconds: simulated time after which no scenario starts [s].
+        seconds: simulated time [s] after which no scenario starts.
 
     Raises:
         ValueError: if the algorithm does not support the space, or if the fitness does not exist.
@@ -276,13 +276,13 @@ def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
 
 
 def request_of(given: dict[str, Any]) -> Request:
-    """Return the checked request for a search with arguments of :func:`explore`."""
+    """Build and check the request for a search with some arguments of :func:`explore`."""
     known = {**SearchArguments.__annotations__, **ExploreArguments.__annotations__}
     for name in given:
         if name in BY_NAME and name not in known:
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
-                "with pytest; remove it"
+                "with pytest. Remove it"
             )
     check_names([name for name in given if name not in ExploreArguments.__annotations__], place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
@@ -296,7 +296,7 @@ def request_of(given: dict[str, Any]) -> Request:
 
 
 def replays_of(request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path) -> Replays:
-    """Return the replays of a search without pytest, with its harness."""
+    """Return the replays for a search without pytest, including its harness."""
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
     settings, (module, _, test) = request.settings, node_id.partition("::")

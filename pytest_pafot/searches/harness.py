@@ -1,4 +1,4 @@
-"""The world, ADS, test function and folders of a search."""
+"""The world, policy, test function and folders of a search."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Test = Callable[[Run], Any]
 
 
 class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
-    """A failure without a traceback, which would only show code of this package."""
+    """A failure without a traceback, because it would only show this package's code."""
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:
@@ -54,8 +54,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
     """Evaluate a run with the test function, unless the ADS failed or NPCs touched.
 
     Raises:
-        BaseException: any exception that says nothing about the run, such as an interrupt or a timeout of the
-            item.
+        BaseException: any exception that is not a result of the run, such as an interrupt or a timeout of the item.
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
@@ -107,14 +106,14 @@ def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
-    """Return a message on a failure of the ADS or the environment, with its traceback."""
+    """Return a message about a failure of the ADS or the environment, with its traceback."""
     who = "environment" if failure.kind == WORLD_HANG else "ADS"
     text = f"the {who} failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 
 def headline(run: Run, verdict: Verdict) -> str:
-    """Return one line on the event of a finding, with the test function's message if it adds anything."""
+    """Return one line about a finding's event, with the test function's message if that adds anything."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     if verdict.failure is not None and verdict.failure.check is not None:
@@ -129,7 +128,7 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """Return one line on who hit whom and who is at fault, or an empty string."""
+    """Return one line about who hit whom and who is at fault, or an empty string without a collision."""
     return run.impact and f"{run.impact}; {AT_FAULT[run.attribution.responsibility]}"
 
 
@@ -153,10 +152,10 @@ def assertions() -> tuple[type[BaseException], ...]:
 
 
 def no_skip(who: str, error: BaseException) -> str:
-    """Return the error message for a skip where none is allowed."""
+    """Return the error message for a skip where skips are not allowed."""
     return (
-        f"{who} raised {type(error).__name__}({str(error)!r}). A skip is not allowed there, because it would hide that "
-        "nothing was tested. Call pytest.skip() in the fixture or in the test function, or mark the test with "
+        f"{who} raised {type(error).__name__}({str(error)!r}), but a skip there would hide that nothing was tested. "
+        "Call pytest.skip() in the fixture or in the test function, or mark the test with "
         "@pytest.mark.skipif."
     )
 
@@ -171,10 +170,10 @@ NO_ACCELERATION = 30.0
 
 
 class SetupFaultError(Exception):
-    """The same exception in all first runs of a search, or in a replay and some random scenarios."""
+    """An exception that ends all first runs of a search, or a replay and random runs, in the same way."""
 
     def __init__(self, run: Run, verdict: Verdict, runs: str, *, is_replay: bool = False) -> None:
-        super().__init__(f"{runs} ended in {verdict.exception!r}")
+        super().__init__(f"{runs} ended with {verdict.exception!r}")
         self.run, self.verdict, self.runs, self.is_replay = run, verdict, runs, is_replay
 
     @property
@@ -188,7 +187,7 @@ class SetupFaultError(Exception):
         return "" if asked is None else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
 
     def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
-        """Return the exception to raise, with an explanation and a way out."""
+        """Return the exception to raise, with an explanation and advice."""
         verdict = self.verdict
         nothing = "so nothing was saved" if not self.is_replay else "so it shows nothing about any saved scenario"
         again = "replay" if self.is_replay else "search"
@@ -213,7 +212,7 @@ class SetupFaultError(Exception):
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:
-    """Return the cause of a failure that may be a fault of the set-up, or None."""
+    """Return the cause of a failure that could be due to a fault in the set-up, or None."""
     failure = verdict.failure  # an assertion is never a fault of the set-up
     if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
         return None
@@ -227,7 +226,7 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 
 
 def unit_doubt(trace: Trace) -> str:
-    """Return a hint if actions in SI units seem to have wrong units, or an empty string."""
+    """Return a hint if a planner's actions seem not to be in SI units, or an empty string."""
     steering = speed = acceleration = 0.0
     for action in trace.actions:  # one loop without calls, which is fast, because each run is checked
         if type(action) is tuple and len(action) == 2:
@@ -261,7 +260,7 @@ def unit_doubt(trace: Trace) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """The policy with which a search compares the tested policy, such as an earlier version."""
+    """The policy to which a search compares the tested policy, such as an earlier version."""
 
     policy: Policy
     name: str  # the name in saved files; empty if no string can refer to the factory
@@ -360,7 +359,7 @@ class Harness:
     needs_only_run: bool = False
 
     def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
-        """Return the job for a worker process, by default in the world of the search."""
+        """Return the job for a worker process, by default in the search's world."""
         world = self.world if world is None else world
         with refusals():  # only building the environment shows whether a pafot.World can be used
             data = codec.described(world)
@@ -404,7 +403,7 @@ class Harness:
     def run_reference(
         self, runner: Here, scenario: Scenario, world: BaseWorld | None = None
     ) -> tuple[Run | None, Verdict]:
-        """Run the reference in a scenario. Return the run, or None if its process was lost, and the verdict."""
+        """Run the reference in a scenario. Return the run (None if its process was lost) and the verdict."""
         __tracebackhide__ = True
         try:
             with refusals("the reference"):
@@ -429,13 +428,13 @@ class Harness:
                 self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
-        """Return the crash records of processes that died in runs of this test."""
+        """Return the crash records of processes that died during runs of this test."""
         return left_by(owner or self.node_id, self.records)
 
 
 @contextmanager
 def refusals(whose: str = "the ADS") -> Iterator[None]:
-    """Turn errors that the user can correct into request errors."""
+    """Turn errors that the user can correct into a :class:`RequestError`."""
     __tracebackhide__ = True
     try:
         yield
@@ -456,7 +455,7 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
     if not callable(given):
         hint = hint_at_object(given)
         raise RequestError(
-            f"expected the fixture {name!r} to return a factory, a function that makes a new ADS for each scenario, "
+            f"expected the fixture {name!r} to return a factory (a function that makes a new ADS for each scenario), "
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given

@@ -1,7 +1,7 @@
 """The comparison that decides whether a change made a policy worse.
 
-A search finds failures of any policy that drives a little differently from its reference, even of a safer one. So both
-policies run the same random scenarios, and those in which only one of them fails are counted.
+A policy that drives differently from its reference fails in some scenarios that the reference passes, even if it is
+safer. So both policies run the same random scenarios, and those in which only one of them fails are counted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PAIRS = 700  # the largest number of random scenarios that both policies run
 
 @dataclass(slots=True, kw_only=True)
 class MadeWorse:
-    """The decision whether the new policy is worse, so that its findings count."""
+    """The decision on whether the new policy is worse. Its findings count only if it is."""
 
     state: State  # the state of a search that has a reference
     bench: Bench
@@ -39,7 +39,7 @@ class MadeWorse:
     paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))  # counts of the random scenarios
 
     def compare(self, space: SearchSpace) -> Refining[None]:
-        """Run random scenarios with both policies, and dismiss the findings if the new one is no worse."""
+        """Run random scenarios with both policies, and dismiss the findings if the new policy is no worse."""
         __tracebackhide__ = True
         # The scenarios depend only on the seed of the search and are evaluated in order, so the result is the same with
         # any number of processes. The last number separates their seeds from those of the generations.
@@ -74,8 +74,8 @@ class MadeWorse:
     def _dismiss(self, sightings: Iterable[Seen]) -> Iterator[SearchEvent]:
         # An exception or a hang stays a finding, however often it occurs.
         state, harness = self.state, self.bench.harness
-        way_out = f"a search without {harness.request.option('against')} counts and saves such findings"
-        told = f"the policy fails no more often than {harness.against_name}: {self.paired}; {way_out}"
+        way_out = f"A search without {harness.request.option('against')} counts and saves such findings"
+        told = f"the policy fails no more often than {harness.against_name}: {self.paired}. {way_out}"
         for sighting in list(sightings):
             expect = sighting.finding.expect
             if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):

@@ -1,4 +1,4 @@
-"""The options of a search, in one typed table."""
+"""The options of the plugin, in one typed table."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ class Option(NamedTuple):
         """Convert a string or a Python value to the type of the option.
 
         Raises:
-            RequestError: if the value is wrong. The caller adds the source of the value.
+            RequestError: if the value is invalid. The caller adds the value's source to the message.
         """
         if self.or_class and (not isinstance(value, str) or ":" in value):
             return value  # checked where it is used, since reading options must not import anything
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            hint = "; for your own class, write module:Class, or pass the class in Python" if self.or_class else ""
+            hint = ". For your own class, write module:Class, or pass the class in Python" if self.or_class else ""
             from pytest_pafot.support.text import meant  # noqa: PLC0415  (for few sessions)
 
             hint = meant(value, self.choices) or hint
@@ -88,7 +88,7 @@ class Option(NamedTuple):
 
 
 def option(kind: Kind, text: str, details: str = "", *, default: object = None, **known: Any) -> Any:
-    """Return a field of :class:`Settings`. Keyword arguments are fields of :class:`Option`."""
+    """Return a field for :class:`Settings`. Keyword arguments are fields of :class:`Option`."""
     return field(default=default, metadata={"kind": kind, "help": text, "details": details, **known})
 
 
@@ -113,7 +113,7 @@ class Settings:
         "integer",
         "Stop each search after N generations.",
         "Only algorithms that breed have generations, so the default algorithm is then `pafot`, the genetic algorithm "
-        "of the paper. With 0, saved scenarios are only replayed.",
+        "from the paper. 0 only replays saved scenarios.",
     )
     seed: int = option(
         "integer",
@@ -130,7 +130,7 @@ class Settings:
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Count only failures where policy module:factory passes.",
+        "Count a failure only if policy module:factory passes.",
         "The other policy is the *reference*, for example [an earlier version](../guide/ci.md). `@pafot.search` also "
         "accepts a factory, or the name of a fixture that returns one.",
         or_class=True,
@@ -138,7 +138,7 @@ class Settings:
     max_time: float | None = option(
         "seconds",
         "Stop each search after SECONDS of wall-clock time.",
-        "A search with findings reserves at most a third of this time for work on the findings. A search that reaches "
+        "A search with findings reserves at most a third of this time for processing them. A search that reaches "
         "the limit is not reproducible.",
         is_argument=False,
     )
@@ -147,9 +147,9 @@ class Settings:
     )
     shrink_runs: int | None = option(
         "integer",
-        "Shrink each new finding with at most N runs.",
+        "Use at most N runs to shrink each new finding.",
         "0 saves findings without shrinking. The default is 3000 for vehicle classes that the kernel drives, and 300 "
-        "for other policies. By default, work on findings also stops after as many decisions of the policy as the "
+        "for other policies. By default, processing also stops after as many decisions of the policy as the "
         "search made, but not before 2000.",
     )
     corpus: str = option(
@@ -160,12 +160,12 @@ class Settings:
         is_argument=False,
     )
     save: str = option(
-        "text", "Save new findings to files, or save none.", default="new", choices=("new", "none"), is_argument=False
+        "text", "Save new findings (new) or save none.", default="new", choices=("new", "none"), is_argument=False
     )
     workers: int = option(
         "workers",
-        "Run scenarios in N processes; auto means one per core.",
-        "Replays and shrinking run in the main process. The findings are the same. Under pytest-xdist, N is always 1.",
+        "Run scenarios in N processes (auto: one per core).",
+        "Replays and shrinking run in the main process. The findings stay the same. Under pytest-xdist, N is 1.",
         default=1,
         least=1,
         most=MOST_WORKERS,
@@ -186,8 +186,8 @@ class Settings:
     )
     report: str | None = option(
         "page",
-        "Write the findings to FILE.html as one web page.",
-        "If there are more than 100, the page shows the worst 100 in full and lists the others.",
+        "Write the findings to FILE.html as a single web page.",
+        "If there are more than 100 findings, the page shows the worst 100 in full and lists the others.",
         is_argument=False,
     )
     json: str | None = option(
@@ -199,16 +199,16 @@ class Settings:
     )
     today: str | None = option(
         "day",
-        "Use this day to decide whether acceptances have expired.",
+        "Decide whether acceptances have expired as of this day.",
         "The default is the current day.",
         everywhere=False,
         is_argument=False,
     )
     debug: bool = option(
         "switch",
-        "Open the debugger at the decisive moment of each replay.",
-        "That is the last decision of the policy that [could have avoided the failure](../explanation/findings.md). "
-        "Enter `s` to step into the policy. This only works for `pytest FILE` in one process.",
+        "Open the debugger at the decisive moment of a replay.",
+        "This moment is the policy's last decision that [could have avoided the failure](../explanation/findings.md). "
+        "Enter `s` to step into the policy. This works only for `pytest FILE` in one process.",
         default=False,
         is_argument=False,
     )
@@ -222,15 +222,15 @@ class Settings:
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning.",
-        "For example, there is a warning if most runs had no interaction with an NPC. A session that omits saved "
-        "scenarios also fails, as with the environment variable `CI`.",
+        "For example, there is a warning if most runs had no interaction with an NPC. A session that skips saved "
+        "scenarios also fails, as it does with the environment variable `CI`.",
         default=False,
         is_argument=False,
     )
     allow_orphans: bool = option(
         "switch",
-        "Do not fail if saved scenarios are skipped.",
-        "This also applies with `CI` or `--pafot-strict-health`.",
+        "Do not fail the session if saved scenarios are not run.",
+        "This takes precedence over `CI` and `--pafot-strict-health`.",
         default=False,
         is_argument=False,
     )
@@ -241,7 +241,7 @@ class Settings:
 
     @property
     def is_search(self) -> bool:
-        """True if a search is requested, and not only replays."""
+        """True if the settings request a search and not only replays."""
         return 0 not in (self.runs, self.generations)
 
     @property

@@ -1,4 +1,4 @@
-"""Replays of saved scenarios, each in the world of its file."""
+"""Replays of saved scenarios, each in the world that its file describes."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ Sought = Callable[[Run, Failure], bool]  # returns whether a failure of a run is
 PROBES = 10
 
 # The start of a note on the part of a replay after the end of the file.
-PAST_END = "after the end of the file"
+PAST_END = "after the end of the saved scenario"
 
 # The time after the end of a file in which a collision with the same NPC counts as the saved one, only later [s].
 SOON = 2.0
@@ -77,7 +77,7 @@ SOON = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
-    """The replays of the saved scenarios of one test."""
+    """The replays of one test's saved scenarios."""
 
     harness: Harness
     today: date | None = None  # the day on which acceptances must be valid; None if no failure is accepted
@@ -125,7 +125,7 @@ class Replays:
         return replace(now, is_accepted=not beyond, beyond=beyond)
 
     def still_fails(self, saved: Saved) -> bool:
-        """Return whether a process still dies in a saved scenario, regardless of the reference."""
+        """Return whether a saved scenario still makes a process die, regardless of the reference."""
         try:
             now = self._driven(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
@@ -155,7 +155,7 @@ class Replays:
         """Run a saved scenario in a world, and return the run and its verdict.
 
         Raises:
-            ProcessLostError: if the separate process died or hung.
+            ProcessLostError: if the run was in a separate process, which died or hung.
             RequestError: if the world, the factory or the scenario cannot be used.
         """
         __tracebackhide__ = True
@@ -189,7 +189,7 @@ class Replays:
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
     def check_set_up(self, saved: Saved, run: Run, verdict: Verdict, owner: str) -> None:
-        """Check that a replay fails because of its scenario, and not in every run.
+        """Check that a replay fails because of its scenario, and not because of the set-up.
 
         Raises:
             SetupFaultError: if random scenarios of the test end in the same exception.
@@ -275,17 +275,17 @@ class Replays:
         has_processes = harness.request.settings.isolate or forks() or saved.needs_own_process
         is_lost = not has_processes and bool(harness.left_behind(owner))
         if is_lost:
-            note = f"not run {PAST_END}, because a process died there before, and this system cannot fork processes"
+            note = f"it was not run {PAST_END}, because a process died there before and this system cannot fork"
         else:
             try:
                 run, verdict = self.tried(saved, _longer(saved, world), owner)
                 return Observed(run=run, verdict=verdict)
             except ProcessLostError as error:
                 if was_lost(_finding(saved), error):
-                    error.add_note(f"{PAST_END}, the process {error.end}")
+                    error.add_note(f"the process {error.end} {PAST_END}")
                     raise
                 # This is not the failure of the file, so it is only noted.
-                note, is_lost = f"{PAST_END}, the process {error.end}", True
+                note, is_lost = f"the process {error.end} {PAST_END}", True
         run, verdict = self.tried(saved, world, owner)
         return Observed(run=run, verdict=verdict, note=note, is_lost=is_lost)
 
@@ -296,7 +296,7 @@ class Replays:
         second = self._driven_on(saved, world, owner)
         (run, verdict), is_alike = second.ran, begins_alike(first, second.ran[0])
         is_hit = is_alike and _is_hit_soon(finding, first, run)
-        hit = f"{PAST_END}, the same NPC still collides with the ego ({headline(run, verdict)})"
+        hit = f"the same NPC still collides with the ego {PAST_END} ({headline(run, verdict)})"
         note = hit if is_hit else second.note
         passed = replace(now, note=note, is_lost=second.is_lost, is_handled=now.is_handled and not is_hit)
         passed = replace(passed, is_unsteady=finding.flaky is not None or not is_alike)
@@ -312,8 +312,8 @@ class Replays:
         is_event = failure.check is not None or run.outcome in HAS_EVENT
         when = happened(finding, run, failure) if is_event else headline(run, verdict)
         if not is_same_failure(finding, run, failure):
-            return passed if is_hit else replace(passed, note=f"{PAST_END}, another failure occurs: {when}")
-        note = f"{PAST_END}, the same {'mistake' if finding.signature.mistake else 'failure'} occurs: {when}"
+            return passed if is_hit else replace(passed, note=f"a different failure occurs {PAST_END}: {when}")
+        note = f"the same failure occurs {PAST_END}: {when}"
         is_firm = finding.flaky is None and self._is_repeatable(saved, world, owner, run)
         return replace(failed, is_unsteady=not is_firm, note=note)
 
@@ -330,8 +330,8 @@ class Replays:
         """Replay a saved scenario, and return the facts that determine its label.
 
         Raises:
-            RequestError: if the scenario cannot be run, with the file, the line and the field; or if the reference
-                cannot drive at all.
+            RequestError: if the scenario cannot be run, or if the reference cannot drive at all. For a scenario, the
+                message names the file, the line and the field.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
@@ -402,26 +402,26 @@ class Replays:
     def version_changes(self, finding: Finding) -> list[str]:
         then, now = finding.found.versions, self.harness.versions
         other = (name for name in sorted(then) if now.get(name) != then[name])
-        return [f"{name} {then[name]} then, {now.get(name, 'none')} now" for name in other]
+        return [f"{name} {now.get(name, 'none')} instead of {then[name]}" for name in other]
 
     def world_changes(self, finding: Finding) -> list[str]:
         own = self.harness.world  # its runs may be shorter than in the file, even if nothing else differs
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
     def setting_changes(self, finding: Finding) -> list[str]:
-        """Return the differences in world, traffic and perception between a file and the test."""
+        """Describe the differences in world, traffic and perception between a file and the test."""
         # A replay uses the file's traffic and, if that is data, the file's world.
         elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
-        told = [f"run in the world of the file, not of the test: {elsewhere}"] if elsewhere else []
+        told = [f"run in the file's world, not the test's: {elsewhere}"] if elsewhere else []
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
         if now is not None and now != then:
-            told.append(f"run in the traffic of the file, not of the test: {then} in the file, {now} now")
+            told.append(f"run in the file's traffic, not the test's: {then} instead of {now}")
         return [*self.world_changes(finding), *told, *self.sight_change(finding)]
 
     def sight_change(self, finding: Finding) -> list[str]:
         then = finding.perception or Sight()
         now = self.harness.policy.sight or Sight()
-        return [] if then == now else [f"found with {then.described}, run with {now.described}"]
+        return [] if then == now else [f"found with {then.described}, but run with {now.described}"]
 
     def changes(self, finding: Finding, now: str) -> str:
         changed = [event_change(finding, now), *self.version_changes(finding), *self.setting_changes(finding)]
@@ -429,21 +429,21 @@ class Replays:
 
 
 def event_change(finding: Finding, now: str) -> str:
-    """Describe the difference between the event of a replay and that of its file, if any."""
+    """Describe the difference between a replay's event and the event in its file, if any."""
     expect = finding.expect
-    then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
+    then = "a process that died" if expect.is_crash else _event(expect.outcome, expect.time)
     if expect.check is not None:
         then = f"{expect.assertion} failed at {expect.time:.1f} s"
-    return "" if then == now else f"{then} in the file, {now} now"
+    return "" if then == now else f"{now} instead of {then}"
 
 
 def was_lost(finding: Finding, lost: LostRun) -> bool:
-    """Return whether a file expects its run to lose the process in this way."""
+    """Return whether a file expects its run's process to be lost in this way."""
     return finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
-    """Describe the result of a replay in the same form as the result in the file."""
+    """Describe a replay's result in the same form as the file describes the expected result."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"

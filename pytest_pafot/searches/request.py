@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -26,7 +25,7 @@ from pytest_pafot.model.vehicle_type import (
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, AlgorithmName, Settings
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported
-from pytest_pafot.support.text import shown
+from pytest_pafot.support.text import capitalised, meant, shown
 from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.codec import checked_world
@@ -56,11 +55,11 @@ BLAMES: tuple[Blame, ...] = get_args(Blame)
 
 
 class AgainstError(RequestError):
-    """An error in the reference, so that failures cannot be counted correctly."""
+    """An error in the reference that prevents failures from being counted correctly."""
 
 
 class SpaceArguments(TypedDict, total=False):
-    """The types of the arguments that define the SearchSpace of a search."""
+    """The types of the arguments that define a search's SearchSpace."""
 
     npcs: int
     genes: int
@@ -116,7 +115,7 @@ class Request:
 
 
 def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
-    """Return the checked request for arguments, or raise a RequestError."""
+    """Build and check the request for some arguments and settings, or raise a RequestError."""
     try:
         algorithm = resolve_algorithm(settings.algorithm or ("pafot" if settings.generations else "random"))
     except ValueError as error:
@@ -158,7 +157,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         )
     for name in BUDGETS:
         if arguments.get(name) is not None and int(arguments[name]) == 0:  # or "0"; the search would always pass
-            problem = f"expected at least 1, because 0 {name} test nothing. To only replay, use {flag('runs', 0)}"
+            problem = f"expected at least 1, because 0 {name} test nothing. To replay only, use {flag('runs', 0)}"
             raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
@@ -185,13 +184,12 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
             f"{place}({unknown}=...): expected an argument of a search, received one of a world. Write "
             f"world=pafot.Highway({unknown}=...)"
         )
-    near = difflib.get_close_matches(unknown, known, n=1)
-    expected = f"did you mean {near[0]!r}? Expected" if near else "expected"
-    raise RequestError(f"{place}({unknown}=...): {expected} one of {', '.join(sorted(known))}, received {unknown!r}")
+    expected = f"expected one of {', '.join(sorted(known))}, received {unknown!r}{meant(unknown, known)}"
+    raise RequestError(f"{place}({unknown}=...): {expected}")
 
 
 def build_world(request: Request, fixture_world: Any) -> BaseWorld:
-    """Return the world of a search: the mark's world, or else the fixture's.
+    """Return the world of a search: the mark's world or, without one, the fixture's.
 
     Raises:
         RequestError: if the chains do not fit the world, or if the fixture returns no world.
@@ -249,7 +247,7 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
 
 
 def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default arguments of the space for algorithms that do not use the paper's space."""
+    """Return the space's default arguments for algorithms that do not use the paper's space."""
     drawn: dict[str, Any] = {"traffic": given.get("traffic", HOSTILE)}
     in_lanes = given.get("instructions") != "cells"
     if in_lanes:
@@ -299,7 +297,7 @@ def _refuse_other_worlds(given: Any, start: str) -> BaseWorld:
     try:
         return checked_world(given)
     except WorldError as error:
-        hint = hint_at_world(given) or f"; {error.fix}"
+        hint = hint_at_world(given) or f". {capitalised(error.fix)}"
         raise RequestError(f"{start} {error.expected}, received {error.received}{hint}") from None
 
 
@@ -314,7 +312,7 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         is_planner: whether the ADS in that environment is a planner in SI units.
 
     Raises:
-        RequestError: if the string names no world.
+        RequestError: if the string does not name a world.
     """
     module, colon, name = reference.partition(":")
     is_factory = name.partition(":")[0].isidentifier()
@@ -327,35 +325,35 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
     except ValueError as error:
         raise RequestError(f"{place}: {error}") from error
     if config is not None:
-        fix = "set the options in the factory, as in pafot.World(..., config=...)"
-        raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}; {fix}")
+        fix = "Set the options in the factory, as in pafot.World(..., config=...)"
+        raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}. {fix}")
     try:
         made = factory()
     except (Exception, SystemExit) as error:
         # If the code of the factory has not started, it was called with too few or too many arguments.
         begun = not isinstance(error, TypeError) or error.__traceback__ is None or error.__traceback__.tb_next
-        fix = "correct it" if begun else "add its argument to the string, as in module:factory:argument"
+        fix = "Correct it" if begun else "Add its argument to the string, as in module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
-        raise RequestError(f"{place}: expected a factory that returns a world, received {received}; {fix}") from error
+        raise RequestError(f"{place}: expected a factory that returns a world, received {received}. {fix}") from error
     _refuse_other_worlds(made, f"{place}: expected the factory {reference!r} to return")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
-        fix = "return pafot.World(..., planner_hz=5) from the factory"
-        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
+        fix = "Return pafot.World(..., planner_hz=5) from the factory"
+        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none. {fix}")
     return made
 
 
 def hint_at_world(given: Any) -> str:
-    """Return a fix for a value that is only part of a world, such as an environment, or an empty string."""
+    """Return advice for a value that is only part of a world, such as an environment, or an empty string."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
     if isinstance(given, type) and issubclass(given, BaseWorld):
-        return f"; call it: {given.__name__}(...)"
+        return f". Call it: {given.__name__}(...)"
     simulator = given if isinstance(given, type) else type(given)
     if issubclass(simulator, Simulator):
-        return f"; write pafot.SimulatorWorld({simulator.__name__})"
+        return f". Write pafot.SimulatorWorld({simulator.__name__})"
     if given is None:
-        return '; return a world, such as pafot.World("highway-v0")'
+        return '. Return a world, such as pafot.World("highway-v0")'
     try:
         World(env_id or "").environment.make()
     except WorldError:

@@ -1,4 +1,4 @@
-"""The results and the counts of runs, without their traces."""
+"""The results and counts of runs, without the runs' traces."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ UNJUDGED = ("npc", "invalid")  # the kinds of verdicts on runs for which the tes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """A failure that counts and was new to the process that simulated it."""
+    """A failure that counts and is new to the process that simulated its run."""
 
     signature: Signature  # the identity of the failure
     finding: Finding  # the content of the file, except for the number of the generation
@@ -48,7 +48,7 @@ class Failed:
     drew: bool  # whether the policy drew random numbers
 
     def found_in(self, generation: int) -> Finding:
-        """Return the content of the file, with the number of the generation."""
+        """Return the content of the finding's file, with the number of the generation."""
         return replace(self.finding, found=replace(self.finding.found, generation=generation))
 
 
@@ -88,7 +88,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examiner:
-    """The evaluation of a run in the process that simulated it."""
+    """The evaluator of runs, which works in the process that simulates them."""
 
     harness: Harness  # contains the test function
     fitness: Callable[[Run], float]  # fitness of a run
@@ -134,13 +134,13 @@ class Examiner:
         )
 
     def signature_of(self, run: Run, verdict: Verdict) -> Signature | None:
-        """Return the signature of a failure that counts, or None."""
+        """Return the signature of the run's failure, or None if it does not count."""
         if not verdict.failed or verdict.failure is None:
             return None
         return self.beside_accepted(of_failure(run, verdict.failure), verdict.severity)
 
     def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
-        """Return the signature of a failure, or a different one if it is worse than the accepted failure."""
+        """Return the signature of a failure, or a different signature if it is worse than the accepted failure."""
         most, id_ = self.accepted.get(signature, (math.inf, ""))
         return replace(signature, worse_than=id_) if is_faster(severity, most) else signature
 
@@ -174,7 +174,7 @@ def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = 
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
-    """Return the result of a scenario in which a process died or hung, now or, without ``death``, before."""
+    """Return the result for a scenario in which a process died or hung, in an earlier run if ``death`` is None."""
     expect = None if death is None or is_common else expectation(death)
     evaluation = Evaluation(
         scenario=scenario,
@@ -194,7 +194,7 @@ def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) 
 
 @dataclass(slots=True, kw_only=True)
 class Counts:
-    """The counts of some runs, to which ``+=`` adds those of later runs."""
+    """The counts for some runs. ``+=`` adds the counts for later runs."""
 
     # Numbers of runs by kind of verdict. They add up to the number of runs, as do the next two.
     kinds: Counter[str] = field(default_factory=Counter)
@@ -224,7 +224,6 @@ class Counts:
 
     @classmethod
     def of(cls, result: Result, number: int = 0) -> Self:
-        """Return the counts of one run."""
         evaluation, counts = result.evaluation, cls()
         counts.kinds[result.kind] = 1
         counts.outcomes[result.ended] = 1
@@ -262,7 +261,7 @@ _COUNTERS = [each.name for each in fields(Counts) if str(each.type).startswith("
 
 @dataclass(slots=True, kw_only=True)
 class Driver:
-    """The simulation of chunks of a random search in other processes."""
+    """The function with which other processes simulate chunks of a random search."""
 
     examiner: Examiner  # evaluates each run
     drawn: Callable[[int], Scenario] | None = None  # returns the scenario of a number; None before the search starts
@@ -328,17 +327,17 @@ class State:
 
     @property
     def is_alike(self) -> bool:
-        """True while all runs may show the same fault of the set-up."""
+        """True while all runs so far may show the same fault in the set-up."""
         return not self.is_set_up and self.counts.is_alike
 
     @property
     def known(self) -> Set[Signature]:
-        """The failures that are saved, or that this search has already found."""
+        """The failures that are saved or that this search has already found."""
         return self.shown.keys() | self.finds.keys()
 
     @property
     def covered(self) -> Counter[str]:
-        """The number of runs with the failure of each saved scenario, by its id."""
+        """The number of runs with each saved scenario's failure, by the scenario's id."""
         covered = Counter[str]()
         for signature, alike in self.counts.failures.items():
             if signature in self.shown:
@@ -346,7 +345,7 @@ class State:
         return covered
 
     def alike(self, find_id: str) -> Alike:
-        """Return the counts of the other runs with the failure of a new finding."""
+        """Return the counts for the other runs with a new finding's failure."""
         signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
         kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
         return replace(kept, runs=kept.runs - 1)  # -1 if only a run to shrink another finding failed in this way
@@ -359,7 +358,7 @@ class State:
 
     @property
     def known_alone(self) -> str:
-        """A note if only known failures of checks occurred, or an empty string."""
+        """A note if only known failures of checks occurred, otherwise an empty string."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
         covered = self.covered
         if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
@@ -384,8 +383,8 @@ class State:
         ]
         if counts.broken:
             warnings.append(
-                f"the reference itself failed in all its runs, at first with {counts.broken}, so no failure could "
-                "count. Correct the reference, its factory, or the world= in which it drives"
+                "the reference itself failed in all its runs, so no failure could count. Its first failure was "
+                f"{counts.broken}. Correct the reference, its factory, or the world= in which it drives"
             )
         return tuple(warnings)
 
@@ -401,6 +400,6 @@ class State:
             self.first_skipped = self.first_skipped or result.evaluation.executed
 
     def forget_findings(self) -> None:
-        """Forget all failures, because they are due to a fault in the set-up."""
+        """Remove all failures, because they are due to a fault in the set-up."""
         self.counts.failures.clear()
         self.finds.clear()

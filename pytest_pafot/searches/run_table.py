@@ -1,4 +1,4 @@
-"""The table of a search, with a row for each scenario."""
+"""The table of a search's runs, with a row for each scenario."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RunTable:
 
 
 def row_of(event: Evaluated) -> Row:
-    """Return a row with the columns that an evaluation contains."""
+    """Return a row with the columns that can be filled from an evaluation."""
     evaluation, reused = event.evaluation, event.reused
     scenario, hit, kind = evaluation.scenario, evaluation.collision, evaluation.kind
     row = dict.fromkeys(COLUMNS) | {
@@ -99,7 +99,7 @@ def row_of(event: Evaluated) -> Row:
 
 
 def note_of(run: Run, verdict: Verdict) -> Row:
-    """Return the columns that need the run and its verdict."""
+    """Return the columns that can be filled only from the run and its verdict."""
     blame = None if run.collision is None else run.attribution
     return {
         "verdict": verdict.kind,

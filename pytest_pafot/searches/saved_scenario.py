@@ -26,7 +26,7 @@ def load(path: str | os.PathLike[str]) -> SavedScenario:
     ``path`` can also be the id of a saved scenario below the current folder, or the name of its item.
 
     Raises:
-        CorpusError: if the file has an error. The message names the line, the field and the fix.
+        CorpusError: if the file has an error. The message names the line and the field, and how to fix it.
     """
     found = named_file(path) if isinstance(path, str) else Path(path)
     return SavedScenario(path=found, finding=reader.load(found))
@@ -56,7 +56,7 @@ class SavedScenario:
 
     @property
     def expect(self) -> Expect:
-        """The expected result of a run, until the failure is fixed."""
+        """The result that a run is expected to have until the failure is fixed."""
         return self.finding.expect
 
     @property
@@ -71,7 +71,7 @@ class SavedScenario:
                 field="world",
                 expected="a world that a file can describe",
                 received=shown(dict(self.finding.world)),
-                fix="because files contain no code, pass the world itself, as in replay(ads, world=...) or --world",
+                fix="because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world",
             )
             raise reader.located(self.path, "world", code)
         try:
@@ -90,21 +90,21 @@ class SavedScenario:
         """Run the scenario once, without a verdict.
 
         Pass the run to the test function or to :meth:`matches`. The run ends with the scenario. For a longer run, pass
-        a world from the method ``lasting``.
+        a world that its method ``lasting`` returned.
 
         Args:
             ads: the factory, or a highway-env vehicle class.
             world: a world to use instead of the file's world; required if the file's world is code.
 
         Raises:
-            CorpusError: if the file's world cannot be built, if the scenario does not fit the world, or if a process
-                died in this scenario.
+            CorpusError: if the file's world cannot be built, the scenario does not fit the world, or a process died
+                in this scenario.
             AdsFactoryError: if ``ads`` does not return an ADS.
             WorldError: if ``world`` is not a world.
         """
         if self.expect.is_crash:
-            expected, received = "a scenario that does not end its process", "a scenario in which a process died"
-            fix = f"run `{command('pytest', self.path)}`, which runs it in a separate process"
+            expected, received = "a scenario that can run in this process", "one in which a process died"
+            fix = f"run `{command('pytest', self.path)}`, which replays it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         world = self.world if world is None else codec.checked_world(world)
         try:
@@ -118,12 +118,12 @@ class SavedScenario:
         """Return whether a run ends as the file expects, within 0.2 s.
 
         Raises:
-            ValueError: if the file describes a failed check, which only the test function can measure.
+            ValueError: if the file describes a failed check, because only the test function can measure it.
         """
         if self.expect.check is not None:
             raise ValueError(
                 f"matches: expected a failure that is visible in the run, received a failure of the check "
-                f"{self.expect.assertion!r}; call the test function with the run instead"
+                f"{self.expect.assertion!r}. Call the test function with the run instead"
             )
         return is_same_event(self.expect, run)
 

@@ -54,7 +54,7 @@ Done = Result | Counts | LostRun | Early | Evaluation | Sequence[Event] | None
 
 
 class Bred(Plan):
-    """The scenarios of an algorithm that learns, generation by generation."""
+    """The scenarios from an algorithm that learns, generation by generation."""
 
     def __init__(self, bench: Bench, algorithm: Algorithm[Any], **limits: Any) -> None:
         self.bench = bench
@@ -68,7 +68,7 @@ class Bred(Plan):
         """Return the result of the next scenario.
 
         Raises:
-            OutOfTime: if the search runs out of time. The scenario is then not counted.
+            OutOfTime: if the search runs out of time. The scenario is not counted.
             RequestError: as for :meth:`.Bench.run`.
         """
         __tracebackhide__ = True
@@ -106,7 +106,7 @@ class _Driven:
 
 @dataclass(slots=True, kw_only=True)
 class Numbers:
-    """The scenarios of a random search, which are sampled by number."""
+    """The scenarios of a random search, which samples each by its number."""
 
     algorithm: RandomSearch
     seed: int

@@ -39,7 +39,7 @@ LEAST = 2.0
 
 @dataclass(slots=True)
 class Watch:
-    """The limits of a search and the reports on its progress."""
+    """The limits of a search, and the reports on its progress."""
 
     stop: Callable[[], bool] = lambda: False  # returns True to end the search
 
@@ -47,7 +47,7 @@ class Watch:
         return "stopped" if self.stop() else "runs" if scenarios.has_all_runs else None
 
     def seconds_left(self) -> float:
-        """Return the time that is left for the next run [s]."""
+        """Return the time [s] that is left for the next run."""
         return math.inf
 
     def after_event(self) -> Iterator[SearchEvent]:
@@ -242,7 +242,7 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
     """Check that the runs so far did not all end in the same exception.
 
     Raises:
-        SetupFaultError: if they did, and the first scenario ends in it again.
+        SetupFaultError: if they did, and the first scenario ends in the exception again.
     """
     counts, is_alike, state.is_set_up = state.counts, state.is_alike, True
     if not is_alike or state.first is None:

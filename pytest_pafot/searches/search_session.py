@@ -1,4 +1,4 @@
-"""One session of a search, from replays to the summary."""
+"""One session of a search, from the replays to the summary."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from pytest_pafot.searches.store import Store
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.support.process import postponed
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -71,7 +71,7 @@ def search_seed(base_seed: int, node_id: str) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchResult:
-    """The result of a session of a search."""
+    """The result of one session of a search."""
 
     summary: Search
     findings: tuple[Seen, ...]
@@ -83,24 +83,24 @@ class SearchResult:
 
 
 class ListenerError(RuntimeError):
-    """A StopIteration of a consumer of events, which cannot be raised in a generator."""
+    """The error that replaces a StopIteration from a consumer of events, which a generator cannot raise."""
 
     def __init__(self, error: StopIteration) -> None:
         super().__init__(
-            f"the listener for the events of a search raised {error!r}, as next() does without a default, but it must "
-            "return. Catch the exception there."
+            f"the listener for search events raised {error!r}, perhaps from next() without a default. Catch the "
+            "exception in the listener."
         )
         self.__cause__ = error
 
 
 class Events:
-    """The events of a search, for a consumer that may fail.
+    """The events of a search, for a consumer that can raise exceptions.
 
     Loop over them inside ``with events:``. An exception in the context is raised in the search, which then ends and
     still reports its results.
 
     Attributes:
-        result: the result of the search, after the last event.
+        result: the result of the search, available after the last event.
     """
 
     result: SearchResult
@@ -155,7 +155,7 @@ class Prepared:
         seed: int,
         stop: Callable[[], bool],
     ) -> Generator[SearchEvent, None, None]:
-        """Search until ``stop()`` returns True, without a time limit, and only count failures."""
+        """Search until ``stop()`` returns True, without a time limit. Failures are only counted."""
         self.store.only_counts = True
         return search(
             scenarios_of(algorithm, self.bench, generations=generations, runs=runs, seed=seed),
@@ -185,7 +185,7 @@ def prepared(
     is_steered: bool = True,
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
 ) -> Iterator[Prepared]:
-    """Build the parts of a search, and stop their processes at the end.
+    """Build the parts of a search, and stop its processes at the end of this context.
 
     Raises:
         RequestError: if the fitness does not exist, or the world cannot be used.
@@ -240,7 +240,7 @@ def prepared(
 def scenarios_of(
     algorithm: Algorithm[Any] | RandomSearch, bench: Bench, *, generations: int | None, runs: int | None, seed: int
 ) -> Bred | Numbers:
-    """Return the scenarios of a search, up to a number of generations or runs."""
+    """Return the scenarios of a search, up to a maximum number of generations or runs."""
     if isinstance(algorithm, RandomSearch):
         return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
     seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
@@ -260,7 +260,7 @@ def _why_judged_here(harness: Harness) -> str:
 # Start to read at `run`. The loop over scenarios is in searches/search.py.
 @dataclass(slots=True, kw_only=True)
 class SearchSession:
-    """One session of the search of a test, from replays to the summary."""
+    """One session of a test's search, from the replays to the summary."""
 
     watch: TimedWatch
     replays: Replays
@@ -421,8 +421,8 @@ class SearchSession:
                 continue
             if world is None:
                 self.process_notes.append(
-                    f"{who} it ran {scenario!r:.300} in a world that can no longer be built here, "
-                    f"{dict(leftover.world or {})!r:.200}. The run cannot be repeated, so it is no finding"
+                    f"{who} it ran {scenario!r:.300} in a world that can no longer be built, "
+                    f"{dict(leftover.world or {})!r:.200}. The run cannot be repeated, so it is not a finding"
                 )
                 continue
             death, trace = None, None
@@ -516,7 +516,7 @@ class SearchSession:
     def _summary(self, reason: Ending) -> Search:
         settings, state, counts = self.harness.request.settings, self.state, self.state.counts
         health = counts.health
-        cut = [f"stopped by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
+        cut = [f"stopped by {reason}, so the same seed may find other failures next time"] * (reason is Ending.MAX_TIME)
         notes = (
             counts.doubt,
             state.known_alone,
@@ -611,18 +611,18 @@ class SearchSession:
         left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_runs != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete the new files and " if any(each.path for each in left) else ""
+            first = "delete the new files, and " if any(each.path for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             if is_broken_off:
-                yield f"the search ended before {what} simplified: {again}"
+                yield f"the search ended before {what} simplified. {capitalised(again)}"
             else:
-                yield f"{Ending.MAX_TIME} ended the search before {what} simplified: {again} and more time"
+                yield f"{Ending.MAX_TIME} ended the search before {what} simplified. {capitalised(again)} and more time"
         if self.bench.is_at_limit:
-            more = f"delete the file, and search with {flag('shrink_runs')}=N"
-            yield f"simplifying stopped at its limit; to simplify more, {more}"
+            more = f"delete the file, and search again with {flag('shrink_runs')}=N"
+            yield f"simplifying stopped at its limit. To simplify further, {more}"
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
-            yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
+            yield f"a search with {RUNS} runs is short. Use {request.option('runs', 10 * RUNS)} for a longer one"
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:

@@ -30,7 +30,7 @@ from pytest_pafot.support.process import REPLACED, postponed
 from pytest_pafot.world import codec
 
 # The remark on a finding that there was no time to run again.
-UNCONFIRMED = "not confirmed: out of time"
+UNCONFIRMED = "it was not confirmed, because the time ran out"
 
 # The expected result in the file of a scenario in which a process died for an unknown reason.
 UNSEEN_CRASH = Expect(
@@ -68,7 +68,7 @@ class Store:
         return sum(each.is_firm for each in self.findings.values())
 
     def add(self, result: Result, generation: int) -> Seen | str:
-        """Save a new finding without reporting it, or return only its id if failures are only counted."""
+        """Save a new finding without reporting it. If failures are only counted, just return its id."""
         failed = result.failed
         assert failed is not None  # noqa: S101  (the failure is new)
         finding = failed.found_in(generation)
@@ -80,7 +80,7 @@ class Store:
             return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
 
     def confirmed(self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None) -> Seen:
-        """Update a finding with the results of :meth:`.Bench.confirm`, and return it."""
+        """Update a finding with the results of :meth:`.Bench.confirm`, and return the new version."""
         if differs:
             sighting = self.call_flaky(sighting, differs)
         elif differs is None:
@@ -111,7 +111,7 @@ class Store:
             _remove_early(path)
 
     def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
-        """Turn early failures into findings and yield their signatures, ids and counts, or remove their files."""
+        """Turn early failures into findings and yield their signatures, ids and counts, or else remove their files."""
         for signature, (path, result, number) in [*self.early.items()]:
             if keeps:
                 sighting = self.add(result, number)
@@ -132,7 +132,7 @@ class Store:
             yield from self.publish(self.findings[find_id])
 
     def withdraw(self) -> Iterator[Seen]:
-        """Remove the findings that were held back, and yield those with a file that cannot be removed."""
+        """Remove the findings that were held back, and yield those whose files cannot be removed."""
         deque(self.settle(keeps=False), maxlen=0)
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
@@ -179,7 +179,7 @@ class Store:
                 self.held.remove(sighting.id)
 
     def call_flaky(self, sighting: Seen, difference: str) -> Seen:
-        """Mark a finding as flaky, here and in its file, with the ``difference`` between its runs."""
+        """Mark a finding as flaky, in memory and in its file, with the ``difference`` between its runs."""
         flaky = portable(difference, str(self.harness.root))
         marked = replace(sighting, finding=replace(sighting.finding, flaky=flaky), unshrunk="")
         self.findings[sighting.id] = self.rewritten(marked)
@@ -207,7 +207,7 @@ class Store:
         return self.harness.folder / f"{sighting.id}{SUFFIX}"
 
     def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Seen:
-        """Save a scenario in which a process of an earlier session died. ``again`` is the end of a second one."""
+        """Save a scenario in which an earlier session's process died. ``again`` is set if a second process was lost."""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario"
         if again is None:
             text += (
@@ -290,7 +290,7 @@ def _headline(lost: LostRun) -> str:
 
 
 def cause(lost: LostRun, way_out: str) -> str:
-    """Return why a process may have died or hung, and the ``way_out``."""
+    """Return the likely cause of the loss of a process, with ``way_out`` as advice."""
     if lost.end == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs more than its limit"
     if lost.end == WORLD_HANGS:

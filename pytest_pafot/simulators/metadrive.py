@@ -1,7 +1,6 @@
 """Worlds in MetaDrive, and MetaDrive's own policies (``pip install "pytest-pafot[metadrive]"``).
 
-MetaDrive's physics moves the ego. The package moves the NPCs, and puts other vehicles of MetaDrive at their
-positions.
+MetaDrive's physics moves the ego. The package moves the NPCs and places MetaDrive vehicles at their positions.
 """
 
 from __future__ import annotations
@@ -50,21 +49,21 @@ def metadrive(
     start_at: float | None = None,
     **world: Unpack[WorldArguments],
 ) -> SimulatorWorld:
-    """Return a world in which MetaDrive's physics moves the ego. This needs ``pytest-pafot[metadrive]``.
+    """Return a world in which MetaDrive's physics moves the ego. It requires ``pytest-pafot[metadrive]``.
 
     Args:
         map: string with one letter per block of the road: ``"S"`` for a straight block, ``"C"`` for a curve. A block is
             40 to 80 m long. A run ends at the end of the road.
-        lanes: number of lanes, 3.5 m wide.
+        lanes: number of lanes. Each is 3.5 m wide.
         observation: input of the policy: None for a planner; ``"lidar"`` for the array of MetaDrive's
             ``LidarStateObservation``, 275 numbers by default; ``"vehicle"`` for its ``BaseVehicle``. In the last two
             cases, the policy returns steering and pedal from -1 to 1, as in ``env.step``.
-        sensors: changes of the sensor settings in the lidar observation, ``{"lidar": {"num_others": 4}}`` by default:
+        sensors: changes to the sensor settings of the lidar observation, ``{"lidar": {"num_others": 4}}`` by default:
             ``num_lasers`` and ``distance`` [m] of ``"lidar"``, ``"side_detector"`` and ``"lane_line_detector"``, and
             ``num_others`` of ``"lidar"``.
-        speed_limit: speed limit [m/s]. The engine of MetaDrive's vehicle reaches 22.2 m/s.
-        start_lane, start_speed, start_at: lane (from 0 at the left), speed [m/s] and position along the lane [m] of the
-            ego at the start, if the road has a curve or is too short for ``duration``.
+        speed_limit: speed limit [m/s]. MetaDrive's vehicle can reach 22.2 m/s.
+        start_lane, start_speed, start_at: the ego's lane (from 0 at the left), speed [m/s] and position [m] along the
+            lane at the start, for a road that has a curve or is too short for ``duration``.
         world: other arguments of :class:`pytest_pafot.SimulatorWorld`. By default, ``ads_hz`` is 10 and ``duration`` is
             15 s.
 
@@ -209,7 +208,7 @@ def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
 
 
 class Expert:
-    """MetaDrive's PPO expert for the lidar observation. It returns the actions of ``numpy_expert.expert``."""
+    """MetaDrive's PPO expert for the lidar observation, with the actions of ``numpy_expert.expert``."""
 
     def __init__(self) -> None:
         self._layers = _weights()
@@ -251,7 +250,7 @@ class Idm:
 
 @dataclass(frozen=True)
 class OwnPolicy:
-    """A policy of MetaDrive as a factory, with the observation that it needs."""
+    """A factory of a MetaDrive policy, with the observation that the policy needs."""
 
     make: Callable[[], Callable[[Any], Any]]
     observation: Observed

@@ -1,4 +1,4 @@
-"""Changes to MetaDrive for :mod:`pytest_pafot.simulators.metadrive`. Importing this module requires MetaDrive."""
+"""Modified MetaDrive classes for :mod:`pytest_pafot.simulators.metadrive`. Importing this module requires MetaDrive."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ VEHICLES = CollisionGroup.Vehicle.getLowestOnBit()
 
 
 class OrderedLidar(Lidar):  # type: ignore[misc]
-    """A lidar that returns objects in a fixed order. MetaDrive's sets have the order of addresses in memory."""
+    """A lidar that returns objects in a fixed order. MetaDrive's order depends on memory addresses."""
 
     def get_surrounding_objects(self, vehicle: Any, radius: int = 50) -> list[Any]:
         return sorted(super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position))
@@ -39,18 +39,18 @@ class OrderedLidar(Lidar):  # type: ignore[misc]
 
 
 class Engine(BaseEngine):  # type: ignore[misc]
-    """An engine that does not download models and textures, which only images need."""
+    """A MetaDrive engine that does not download the models and textures, which are needed only for images."""
 
     @staticmethod
     def try_pull_asset() -> None:
-        """Do nothing."""
+        """Download nothing."""
 
 
 class Env(MetaDriveEnv):  # type: ignore[misc]
-    """An environment without images and traffic, in which a run does not depend on earlier runs.
+    """A MetaDrive environment without images or traffic, in which no run depends on earlier runs.
 
     Args:
-        blocks: letters of the map.
+        blocks: string with one letter per block of the road.
         lanes: number of lanes.
         sensors: sensor settings in MetaDrive's ``vehicle_config``.
     """
@@ -84,11 +84,11 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
 
     @property
     def is_open(self) -> bool:
-        """True until this environment is closed or another one is made."""
+        # False after this environment was closed or another one was created.
         return get_engine() is self._own
 
     def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
-        """Start a run with the agent at a position [m], heading [rad] and speed [m/s]."""
+        """Start a run with the ego at a position [m] with a heading [rad] and a speed [m/s]."""
         # Not with set_position, because only a new vehicle gets the checkpoints ahead of its position.
         self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (tuple(position), heading)
         self.reset(seed=0)  # 0 is the map; nothing in a run is random
@@ -101,7 +101,7 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         return self.agent
 
     def lines(self) -> list[list[tuple[float, float]]]:
-        """Return the centre line of each lane along the map, from the left [m]. This ends the current run."""
+        """Return the points [m] of each lane's centre line, from the left, and end the current run."""
         self.reset(seed=0)
         ways = self.agent.navigation.checkpoints
         graph = self.current_map.road_network.graph
@@ -116,7 +116,7 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         return lines
 
     def add_other(self, length: float, width: float, position: Sequence[float], heading: float) -> Any:
-        """Return a new vehicle that does not move on its own. The next run removes it."""
+        """Add a vehicle that does not move on its own, and return it. The next run removes it."""
         size = {"length": length, "width": width, "height": 1.5, "mass": 1100.0}
         # The traffic manager removes its vehicles at the next reset.
         spawn = self.engine.traffic_manager.spawn_object

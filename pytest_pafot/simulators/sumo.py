@@ -35,23 +35,23 @@ def sumo(
     start_at: float | None = None,
     **world: Unpack[WorldArguments],
 ) -> SimulatorWorld:
-    """Return a world on a straight road, or on a route through a network of SUMO.
+    """Return a world on a straight road, or on a route through a SUMO network.
 
     Args:
-        net: file of a network from SUMO's netconvert or netedit (``.net.xml``); None for a straight road.
+        net: network file (``.net.xml``) from SUMO's netconvert or netedit. None for a straight road.
         route: ids of the edges of the ego's route, in order. The shortest path connects two edges that are not
             adjacent, so the first and the last edge suffice. None if the network has only one route.
-        lanes: number of lanes of the straight road, 4 m wide.
-        speed_limit: speed limit of the straight road [m/s]. None for 26.8 m/s. In a network, the lowest limit along the
+        lanes: number of lanes of the straight road. Each is 4 m wide.
+        speed_limit: speed limit [m/s] of the straight road. None for 26.8 m/s. In a network, the lowest limit along the
             route applies.
         hz: ticks per second.
-        start_lane, start_speed, start_at: on a route with bends, lane (from 0 at the left of the first edge), speed
-            [m/s] and position along the lane [m] of the ego at the start. The default is 22 m/s or the limit, at the
-            first position with enough road behind the ego.
-        world: other arguments of :class:`pytest_pafot.SimulatorWorld`, such as ``ads_hz``, ``duration``, ``limits``.
+        start_lane, start_speed, start_at: the ego's lane (from 0 at the left of the first edge), speed [m/s] and
+            position [m] along the lane at the start, for a route with bends. The default is 22 m/s or the speed limit,
+            at the first position with enough road behind the ego.
+        world: other arguments of :class:`pytest_pafot.SimulatorWorld`, such as ``ads_hz``, ``duration`` and ``limits``.
 
     Raises:
-        WorldError: if an argument cannot be used, the network does not fit, or sumolib is not installed.
+        WorldError: if an argument cannot be used, the network is unsuitable, or sumolib is not installed.
     """
     arguments: dict[str, Any] = {"hz": hz}
     if net is None:
@@ -63,10 +63,10 @@ def sumo(
 
 
 class Sumo(Simulator):
-    """A network of SUMO as a simulator, with the arguments of :func:`sumo`.
+    """A SUMO network as a simulator, with the arguments of :func:`sumo`.
 
     Args:
-        digest: digest of the network in a saved file. Another network is rejected.
+        digest: digest of the network from a saved scenario. A network with a different digest is rejected.
 
     Attributes:
         edges: ids of the edges of the route, in order.
@@ -128,10 +128,10 @@ class Sumo(Simulator):
 
 
 class Way:
-    """The lanes along a route through a network of SUMO.
+    """The lanes along a route through a SUMO network.
 
     Raises:
-        WorldError: if the file is not a network, or the route is not in it.
+        WorldError: if the file is not a network, or does not contain the route.
     """
 
     def __init__(self, path: str, route: Sequence[str] | None) -> None:

@@ -1,4 +1,4 @@
-"""A clock, late imports, and the isolation of policies in a test."""
+"""A clock, deferred imports, and the isolation of policies in tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ISOLATES: list[Callable[[], bool]] = [lambda: False]
 
 
 def import_late(name: str) -> Any:
-    """Import a library while ``datetime`` has its original classes, even if a test freezes the time."""
+    """Import a library with the original ``datetime`` classes, even if a test has frozen the time."""
     # Parts of pandas are compiled for these classes. If the import finds freezegun's classes instead, the process dies.
     shown = {each: vars(datetime)[each] for each in ("date", "datetime")}
     for each, cls in shown.items():
@@ -31,7 +31,7 @@ def import_late(name: str) -> Any:
 
 @contextmanager
 def isolating(asked: Callable[[], bool]) -> Iterator[None]:
-    """Make :func:`isolates` call a function in this context."""
+    """Make :func:`isolates` return the result of ``asked`` in this context."""
     _ISOLATES.append(asked)  # called only if needed, because it may reject an option
     try:
         yield
@@ -40,6 +40,6 @@ def isolating(asked: Callable[[], bool]) -> Iterator[None]:
 
 
 def isolates() -> bool:
-    """Return whether a policy must first drive in another process, or False outside of a test."""
+    """Return whether a policy must first drive in another process. Outside a test, this is False."""
     # Only the plugin knows the options of the running test. The fixture `pafot_simulate` does not receive them.
     return _ISOLATES[-1]()

@@ -23,13 +23,13 @@ FORCED, ABSENT = "PAFOT_KERNEL", "not compiled at installation"
 
 
 def typed(*folders: str) -> list[Path]:
-    """Return the modules in some folders that have a ``.pxd`` file, as paths without suffixes."""
+    """Return the paths, without suffixes, of the modules in some folders that have a ``.pxd`` file."""
     # Editors create files such as `.#loop.pxd` there.
     return [path.with_suffix("") for each in folders for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))]
 
 
 def record() -> str:
-    """Return one line for each source, with its digest and name."""
+    """Return the record of a build: one line per source, with its digest and name."""
     # A build writes this as its last step, after it has removed the record of an earlier build. So the file means that
     # the build is complete. Line endings make no difference.
     sources = [path.with_suffix(suffix) for path in typed(*FOLDERS) for suffix in (".pxd", ".py")]

@@ -15,15 +15,15 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class OutOfTime(BaseException):
-    """The exception that ends a run at the time limit of its search. Policies do not catch it."""
+    """The exception that ends a run at its search's time limit. ``except Exception`` does not catch it."""
 
 
 class RequestError(ArgumentTypeError):
-    """A request of the user that cannot be met. argparse prints its message."""
+    """An error in a user's request. argparse prints its message."""
 
 
 class FieldError(ValueError):
-    """An error about an invalid value, with the parts of its message."""
+    """An error about an invalid value, with the parts of its message as attributes."""
 
     def __init__(
         self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
@@ -36,13 +36,13 @@ class FieldError(ValueError):
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
-    """Return the message ``field: expected this, received that; fix``."""
+    """Format the message ``field: expected this, received that; fix``."""
     place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
     return f"{place}expected {expected}, received {received}{way_out}"
 
 
 def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:
-    """Return the error for a policy that cannot drive."""
+    """Return the error to raise for a policy that cannot drive."""
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 
@@ -116,7 +116,7 @@ class AdsFactoryError(TypeError):
 
 
 class BadAction(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
-    """An invalid action of a policy."""
+    """An invalid action that a policy has returned."""
 
 
 class CorpusError(FieldError):
@@ -141,12 +141,12 @@ OF_REPLAY = "PYTEST_PAFOT_REPLAY"
 
 
 def command(*words: object) -> str:
-    """Return a command such as ``python -m pytest_pafot corpus list`` for a shell."""
+    """Format a shell command such as ``python -m pytest_pafot corpus list``."""
     return shlex.join(["python", "-m", *map(str, words)])
 
 
 def flag(name: str, value: object = None) -> str:
-    """Return an option of pytest and of the command ``search``, such as ``--pafot-max-time=5``."""
+    """Format an option for pytest or the command ``search``, such as ``--pafot-max-time=5``."""
     option = f"--pafot-{name.replace('_', '-')}"
     return option if value is None else shlex.join([f"{option}={value}"])
 
@@ -157,7 +157,7 @@ def install(name: str) -> str:
 
 
 def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved: str = "") -> str:
-    """Return the command that runs a part of a session again, or only the scenario with the id ``saved``."""
+    """Return the command that repeats part of a session, or only the scenario with the id ``saved``."""
     # The commands `search` and `replay` leave no test files that pytest could run. So in their sessions, the result is
     # the command itself, or `replay` for one saved scenario.
     if not environ.get(OF_SEARCH):
@@ -170,14 +170,14 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
 
 
 def asserts_run(function: Callable[..., Any]) -> bool:
-    """Return whether assertions run in a function."""
+    """Return whether Python executes the assertions in a function."""
     # `python -O` disables all assertions that pytest does not rewrite. This package does not need assertions.
     known = getattr(function, "__globals__", None) or getattr(type(function).__call__, "__globals__", {})
     return __debug__ or "@pytest_ar" in known or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
 
 
 def check_asserts(holds: Callable[..., Any]) -> None:
-    """Raise a ``RequestError`` if the assertions of a function do not run."""
+    """Raise a ``RequestError`` if Python skips the assertions in a function."""
     if not asserts_run(holds):  # otherwise, every run would pass
         name = getattr(holds, "__name__", type(holds).__name__)
         raise RequestError(

@@ -1,4 +1,4 @@
-"""Writes that are complete or have no effect, and calls of git."""
+"""File writes that succeed completely or have no effect, and git commands."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def hold(descriptor: int) -> bool:
 
 
 def is_held(descriptor: int, pid: int) -> bool:
-    """Return whether the process that wrote a file holds its lock, or is alive if there are no locks."""
+    """Return whether a file's writer still holds its lock or, on systems without locks, is alive."""
     try:
         _lock(descriptor)
     except OSError as error:
@@ -81,17 +81,17 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
         errno.ENOSPC: "free some space on the disk, {}",
         errno.EDQUOT: "free some of your disk quota, {}",
-        errno.EROFS: "the file system is read-only: mount it with write access, {}",
-        errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
-        errno.ENOTDIR: "there is a file where a folder should be: rename or delete it, {}",
-        errno.EEXIST: "there is a file where a folder should be: rename or delete it, {}",
-        errno.EISDIR: "there is a folder with that name: rename or delete it, {}",
-        errno.ENOENT: "create the folder that should contain it, {}",
-        errno.EINVAL: "there is a link or a special file with that name: delete it, {}",
-        errno.ELOOP: "a link in the path points to itself: remove it, {}",
+        errno.EROFS: "mount the file system with write access, {}",
+        errno.ENAMETOOLONG: "shorten the name of a folder, of the test or of a parameter, {}",
+        errno.ENOTDIR: "rename or delete the file that has the name of the folder, {}",
+        errno.EEXIST: "rename or delete the file that has the name of the folder, {}",
+        errno.EISDIR: "rename or delete the folder that has this name, {}",
+        errno.ENOENT: "create the missing folder, {}",
+        errno.EINVAL: "delete the link or special file that has this name, {}",
+        errno.ELOOP: "remove the link that points to itself from the path, {}",
         errno.EMFILE: "close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
         errno.ENFILE: "close files in other programs on this machine, or raise its limit on open files",
-        errno.EIO: "the disk or the network failed: check it, {}",
+        errno.EIO: "check the disk and the network, {}",
     }
 )
 
@@ -102,7 +102,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Missing folders are created. A link is replaced. A stream receives the content.
 
     Raises:
-        OSError: if the file cannot be written; nothing is left behind.
+        OSError: if the file cannot be written. No temporary file is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
     if is_stream(path):
@@ -112,10 +112,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def append(path: Path, content: str | bytes) -> None:
-    """Append to a file or write into a stream, but not through a link.
+    """Append to a file or write to a stream, but not through a link.
 
     Raises:
-        OSError: if the path is a link or cannot be written; the file keeps its old length.
+        OSError: if the path is a link or cannot be written. The file keeps its old length.
     """
     rest = memoryview(content.encode() if isinstance(content, str) else content)
     with path.open("ab") if is_stream(path) else open_regular(path, "ab") as file:
@@ -130,7 +130,7 @@ def append(path: Path, content: str | bytes) -> None:
 
 
 def is_stream(path: Path) -> bool:
-    """Return whether a path is a pipe or a character device, or a system link to one, such as ``/dev/stdout``."""
+    """Return whether a path is a pipe, a character device, or a system link to either, such as ``/dev/stdout``."""
     # Content is written into it, because a regular file in its place would take it away from every process.
     folder = os.path.realpath(path.parent)
     is_of_system = folder == "/dev" or re.fullmatch(r"/proc/\d+/fd", folder) is not None
@@ -147,7 +147,7 @@ def write_if_free(path: Path, content: bytes) -> bool:
 
 
 def way_out(error: OSError, elsewhere: str) -> str:
-    """Return advice for a file that cannot be written. ``elsewhere`` is how to name another folder."""
+    """Return advice for a file that cannot be written. ``elsewhere`` explains how to choose another folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
@@ -192,8 +192,8 @@ def remove_unfinished(folder: Path) -> None:
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
-        what = "a link" if stat.S_ISLNK(status.st_mode) else "a folder" if stat.S_ISDIR(status.st_mode) else ""
-        raise OSError(errno.EINVAL, what or "something else", str(path))
+        what = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "a folder" if stat.S_ISDIR(status.st_mode) else ""
+        raise OSError(errno.EINVAL, f"Is {what or 'a special file'}", str(path))
 
 
 def _open_in_place(path: str, flags: int) -> int:
@@ -239,9 +239,8 @@ def _publish(temporary: Path, path: Path) -> bool:
         if os.path.lexists(path):
             return False
         try:
-            temporary.rename(
-                path
-            )  # Windows refuses to rename onto a file; on other systems the later of two equal files wins
+            # Windows refuses to rename onto a file. On other systems, the later of two equal files wins.
+            temporary.rename(path)
         except FileExistsError:
             return False
     return True
@@ -281,7 +280,7 @@ def git(folder: Path, *arguments: str) -> str:
         raise RequestError("expected the program git, which was not found on the PATH. Install git") from None
     except ValueError as error:  # a string that no command line can contain
         given = next((each for each in (str(folder), *arguments) if not each.isprintable()), str(folder))
-        raise RequestError(f"expected a name that git accepts, received {given!a:.200} ({error}). Rename it") from None
+        raise RequestError(f"git: expected a valid name, received {given!a:.200} ({error}). Use another name") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
@@ -289,7 +288,7 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
-    """Return the commit that added each file in some folders, as far as git knows it."""
+    """Return the commit that added each file in some folders, without files whose commit is unknown."""
     # The files in the oldest commit of a shallow clone are omitted, because an earlier commit may have added them.
     found: dict[Path, Since] = {}
     form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")

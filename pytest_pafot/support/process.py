@@ -1,4 +1,4 @@
-"""Signals, exit codes, replaced functions, versions and cores of this process."""
+"""Signals, exit codes, replaced functions, package versions and cores of this process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PATIENCE = 2.0
 
 
 class Ended(KeyboardInterrupt):
-    """An interrupt by a signal in :data:`ENDS`, with its ``number`` and the exit ``code`` of a shell."""
+    """An interrupt by a signal in :data:`ENDS`, with the signal's ``number`` and the exit ``code`` for a shell."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"received {signal.Signals(number).name}")
@@ -39,7 +39,7 @@ class Ended(KeyboardInterrupt):
 
 @contextmanager
 def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda interrupt: None) -> Iterator[None]:
-    """Make the first of :data:`ENDS` raise :class:`Ended` in the main thread, and ignore later ones.
+    """Raise :class:`Ended` in the main thread on the first signal in :data:`ENDS`, and ignore later signals.
 
     ``note`` receives each interrupt first, including Ctrl-C, because the user's code may catch it.
     """
@@ -88,7 +88,7 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
 
 @contextmanager
 def postponed() -> Iterator[None]:
-    """Raise an interrupt only at the end of this context, so that its work is not left half done."""
+    """Postpone interrupts until the end of this context, so that its work is not left half done."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -182,14 +182,14 @@ NAME = "receipt"
 
 
 def leave_receipt(folder: str, code: int) -> None:
-    """Record that the command of this process finished with an exit code."""
+    """Record that the command in this process finished with an exit code."""
     (Path(folder) / NAME).write_text(str(code), encoding="ascii")
 
 
 def taken_receipt(folder: str, left: int) -> int | None:
-    """Remove a receipt, and return its exit code, or None without a receipt.
+    """Remove a receipt and return its exit code, or None if there is no receipt.
 
-    If that code is 0, the exit code ``left`` of the process counts.
+    Instead of 0, return the process's exit code ``left``.
     """
     file = Path(folder) / NAME
     try:
@@ -201,7 +201,7 @@ def taken_receipt(folder: str, left: int) -> int | None:
 
 
 def ended_with(left: int) -> int:
-    """Return an exit code, which is negative for a signal, as a shell reports it."""
+    """Convert an exit code, which is negative for a signal, to the code that a shell reports."""
     return left if left >= 0 else 128 - left
 
 
@@ -236,7 +236,7 @@ class _Replaced:
 
     @contextmanager
     def shown(self, is_shown: bool) -> Iterator[None]:
-        """Restore the original functions in this context, or with ``is_shown`` the replacements."""
+        """Use the replacements in this context if ``is_shown``, otherwise the original functions."""
         if bool(self._back) != is_shown:
             yield
             return
@@ -278,7 +278,7 @@ RULES_VERSION = "3"
 
 
 def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
-    """Return the versions of the packages on which a run depends, and of the verdict rules."""
+    """Return the versions of the verdict rules and of the packages on which a run depends."""
     return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
 
 
@@ -299,7 +299,7 @@ def cores(root: Path = Path("/")) -> int:
 
 
 def cpu_limits(root: Path) -> Iterator[list[int]]:
-    """Yield the numbers in ``cpu.max`` of this process's cgroup and the parent cgroups, if there is a limit."""
+    """Yield the numbers in each ``cpu.max`` file that limits this process's cgroup or a parent cgroup."""
     # If a container hides its own path, the root is the cgroup, and the file is directly in the mounted folder.
     groups = [PurePosixPath()]
     with suppress(OSError):

@@ -29,7 +29,7 @@ def interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tuple[fl
 
 
 def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float:
-    """Return a limit that the true proportion exceeds with a probability of at most ``1 - confidence``."""
+    """Return the one-sided upper Clopper-Pearson limit of a proportion."""
     if hits >= trials:
         return 1.0
     low, high = 0.0, 1.0
@@ -49,7 +49,7 @@ def mcnemar(first_only: int, second_only: int) -> float:
 
 
 def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bool | None:
-    """Return whether the first policy hits more of the same trials than the second, or None if unclear."""
+    """Return whether the first policy hits more of the same trials than the second, or None if that is unclear."""
     # Wald's sequential test, so that clear cases end early. Of the trials that only one policy hits, the first hits
     # half if both are equal, and WORSE if it is clearly worse. After the last trial, the exact sign test decides.
     evidence = first_only * math.log(2 * WORSE) + second_only * math.log(2 * (1 - WORSE))
@@ -61,7 +61,7 @@ def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bo
 
 
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:
-    """Return an interval for the first proportion minus the second, with at least 95 % confidence."""
+    """Return an interval, with at least 95 % confidence, for the first proportion minus the second."""
     # Each of the two intervals has a confidence of 97.5 %.
     one, other = (interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only))
     return one[0] - other[1], one[1] - other[0]
@@ -96,7 +96,7 @@ def percent(share: float) -> str:
 
 
 def none_text(trials: int, what: str = "scenarios") -> str:
-    """Return the end of a sentence about trials without hits: ``, so it occurs in at most 2 % of ...``."""
+    """Return the end of a sentence about trials without hits, such as ``, so it occurs in at most 2 % of ...``."""
     most = 100 * upper_bound(0, trials) - 1e-9  # otherwise, its last bit would decide whether it is rounded up
     rounded = math.ceil(10 * most) / 10 if most < 10 else math.ceil(most)
     return f", so it occurs in at most {rounded:g} % of such {what}, with 95 % confidence"

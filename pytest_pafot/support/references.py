@@ -1,4 +1,4 @@
-"""The user's objects, by names such as ``module:name``, and their source files."""
+"""The import of the user's objects by names such as ``module:name``, and their source files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
 
-from pytest_pafot.support.text import one_line
+from pytest_pafot.support.text import listed, one_line
 
 # The maximum number of names of a module that an error lists.
 MOST_NAMES = 8
@@ -36,8 +36,8 @@ def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]
         raise ValueError(f"expected module:factory or module:factory:argument, received {reference!r}")
     factory = referred_to(f"{module}:{name}", what)
     if not callable(factory):
-        received = f"{reference!r}, which is of the type {type(factory).__name__}"
-        raise ValueError(f"expected {what}, received {received}. Name a function or a class")
+        received = f"{reference!r}, which has the type {type(factory).__name__}"
+        raise ValueError(f"expected {what}, received {received}. Name a function or a class instead")
     return functools.partial(factory, argument) if argument else factory
 
 
@@ -49,10 +49,12 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         near = difflib.get_close_matches(name, vars(module), n=1)
         own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
         hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
-        hint = hint or (f". The module has {', '.join(own[:MOST_NAMES])}" if own else ". The module has no such name")
-        file = getattr(module, "__file__", None) or "built into Python"
+        names = [*own[:MOST_NAMES], *(["others"] if len(own) > MOST_NAMES else [])]
+        hint = hint or f". The module defines {listed(names) or 'no functions or classes'}"
+        file = getattr(module, "__file__", None)
+        origin = f"was loaded from {file}" if file else "is built into Python"
         # The user may have expected another module with the same name.
-        hint += "" if Path(file).is_relative_to(Path.cwd()) else f"{'' if near else '.'} This module is {file}"
+        hint += "" if Path(file or "").is_relative_to(Path.cwd()) else f"{' The module' if near else '. It'} {origin}"
         raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
     return getattr(module, name)
 
@@ -67,11 +69,11 @@ def imported(reference: str) -> ModuleType:
     except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() when it is imported.
         # A module that imports a missing module raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
-        way_out = "Run in the folder of the module, or add it to the path (in pytest's settings: `pythonpath = .`)"
+        way_out = "Run in the module's folder, or add it to the Python path (in pytest's settings: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
         if path != module_name and not path.startswith("."):  # otherwise, it is not a path, or not below this folder
             way_out = f"Write {path}:{name}"
-        received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
+        received = f" ({type(error).__name__}: {error})" if is_missing else f", whose import raises {described(error)}"
         way_out = way_out if is_missing else "Correct the module"
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}. {way_out}"
@@ -79,7 +81,7 @@ def imported(reference: str) -> ModuleType:
 
 
 def name_of(factory: Callable[..., Any]) -> str:
-    """Return ``module:name`` of a function or class, or an empty string if the name does not lead to it."""
+    """Return the name ``module:name`` of a function or class, or an empty string if it cannot be imported."""
     name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
     try:
         return name if referred_to(name) is factory else ""
@@ -88,7 +90,7 @@ def name_of(factory: Callable[..., Any]) -> str:
 
 
 def policy_name(factory: Any) -> str:
-    """Return ``module:name`` of the class or function that makes a policy, for display."""
+    """Return the display name ``module:name`` of the class or function that makes a policy."""
     # A lambda has the name of the one class or function that it uses, if it uses no other.
     made = inspect.unwrap(factory)
     while isinstance(made, functools.partial):
@@ -102,7 +104,7 @@ def policy_name(factory: Any) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Describe an exception of the user's code in one line: class, message and position."""
+    """Describe an exception in the user's code in one line: class, message and position."""
     # Skip lines of this package, which only called the user's code or rejected a value, and code without a file, such
     # as the `__init__` of a dataclass.
     here = f"{Path(__file__).parents[1]}{os.sep}", "<"
@@ -122,10 +124,7 @@ class _Source(NamedTuple):
 
 
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:
-    """Return the source files that define some objects of the user, and the files that these import.
-
-    Each path has the name of its module and the hash of its content.
-    """
+    """Return the source files of the user's objects and of their imports, with module names and content hashes."""
     found: dict[Path, tuple[str, str]] = {}
     left = [source for value in values for source in _defining(value, set())]
     while left:

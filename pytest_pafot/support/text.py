@@ -38,7 +38,7 @@ def ascii_text(text: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value's ``repr`` in one line for an error message, even if the ``repr`` raises."""
+    """Return a value's ``repr`` in one line for an error message, even if ``repr`` raises."""
     try:
         return one_line(repr(value))
     except Exception as error:  # noqa: BLE001  (the user's code may raise anything)
@@ -75,13 +75,13 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def listed(texts: Sequence[str]) -> str:
+def listed(texts: Sequence[str], last: str = "and") -> str:
     """Join strings as in ``a, b and c``."""
-    return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
+    return f" {last} ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def meant(name: object, known: Iterable[str]) -> str:
-    """Return a hint such as ``; did you mean 'gap'?``, or an empty string."""
+    """Return ``; did you mean 'gap'?`` for a similar name, or an empty string."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
@@ -132,7 +132,7 @@ MAX_TOLD = 3
 
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
-    """Describe the first differences between a file's data and this session's."""
+    """Describe the first differences between a file's data and the data in this session."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
     differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
     told = [f"{key} is {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]

@@ -1,8 +1,8 @@
-"""A check of a user's simulator, for use in the user's tests.
+"""A check of a user's simulator, to be called in the user's tests.
 
 In each experiment, the simulator moves vehicles with known controls, and the package's own model predicts their motion.
-If the two disagree, the experiments are repeated with other units, axes and controls. If everything then agrees, the
-changed declaration is the cause.
+If the two disagree, the experiments are repeated with other units, axes and controls. A changed declaration with which
+everything agrees is the cause.
 """
 
 from __future__ import annotations
@@ -56,23 +56,23 @@ AXES = {"degrees": (True, False), "y_is_left": (True, False), "headings": HEADIN
 def check_world(
     world: BaseWorld, *, seed: int = 0, runs: int = 8, ads: AdsFactory | None = None, **space: Unpack[SpaceArguments]
 ) -> None:
-    """Check that a simulator does what a search expects, and that runs repeat to the last bit.
+    """Check that a simulator behaves as a search expects, and that repeated runs are identical to the last bit.
 
-    In worlds other than a :class:`pytest_pafot.SimulatorWorld`, only random scenarios are run, twice each.
+    In any world other than a :class:`pytest_pafot.SimulatorWorld`, the check only runs random scenarios, twice each.
 
     Args:
-        world: world, such as ``pafot.SimulatorWorld(MySimulator)``.
+        world: world to check, such as ``pafot.SimulatorWorld(MySimulator)``.
         seed: seed of the scenarios and of the simulator.
         runs: number of random scenarios.
-        ads: factory of the policy in the random scenarios. By default, a reference driver drives.
+        ads: factory of the policy for the random scenarios. The default is a reference driver.
         space: properties of the scenarios, such as ``npcs`` and ``ego_lane``, as in :func:`pytest_pafot.search`.
 
     Raises:
         AssertionError: if the simulator is wrong. The message names the attribute to change, if one is the cause.
-        WorldError: if the world is not one of this package, or cannot be used.
+        WorldError: if the world is not an instance of a class of this package, or cannot be used.
 
     Warns:
-        RuntimeWarning: if controls take effect late or in part, which is allowed.
+        RuntimeWarning: if controls take effect late or only partly, which is allowed.
     """
     checked_world(world)
     # First the experiments, only with a user's simulator. Its random runs are short, because long ones show no more.
@@ -114,8 +114,8 @@ def _without_error(promise: str) -> Iterator[None]:
 class _Run(NamedTuple):
     """One experiment in SI units.
 
-    ``states`` and ``model`` contain (x, y, heading, speed), in shape [ticks + 1, vehicles, 4]. ``model`` is the
-    requested start, and then the prediction of the package's own model for each tick.
+    ``states`` and ``model`` contain (x, y, heading, speed) as arrays of shape [ticks + 1, vehicles, 4]. ``model``
+    contains the requested start, followed by the predictions of the package's own model.
     """
 
     states: FloatArray
@@ -140,9 +140,9 @@ class _Run(NamedTuple):
 
 
 class _Bench:
-    """The experiments with the simulator of a world. ``other`` declarations replace those of the simulator.
+    """The experiments with a world's simulator. The declarations in ``other`` replace the simulator's.
 
-    A promise is a tuple: true if it is kept, the expected result and the received result.
+    Each promise is a tuple of whether it was kept, the expected result and the received result.
     """
 
     def __init__(self, world: SimulatorWorld, seed: int) -> None:

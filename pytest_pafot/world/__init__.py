@@ -1,16 +1,17 @@
-"""Worlds, which are the roads on which scenarios run, and most of the code that uses highway-env.
+"""Worlds, the roads on which scenarios run, and most of the code that uses highway-env.
 
-A world checks a scenario and sets up a run (``engines/``). The loop of the kernel (``kernel/loop.py``) then runs it
-tick by tick. The driver of the ego depends on the policy:
+A world checks a scenario and sets up a run (``engines/``). The kernel's loop (``kernel/loop.py``) then simulates the
+run tick by tick. The ego's driver depends on the policy:
 
-- a planner in SI units: ``PlannerDriver`` of the kernel;
-- highway-env's IDM on lanes that the kernel knows: ``ModelDriver`` of the kernel;
+- a planner in SI units: the kernel's ``PlannerDriver``;
+- highway-env's IDM on lanes that the kernel supports: the kernel's ``ModelDriver``;
 - any other vehicle class: ``ObjectDriver`` (``driving/environment.py``);
-- a policy that returns an environment's actions: ``ModelPolicyDriver``, or ``PolicyDriver`` if the kernel does not know
-  the lanes or the vehicle.
+- a policy that returns an environment's actions: ``ModelPolicyDriver``, or ``PolicyDriver`` if the kernel does not
+  support the lanes or the vehicle.
 
-In a :class:`pytest_pafot.SimulatorWorld`, a simulator replaces the states after each tick (``engines/simulation.py``).
-``env.step`` (``engines/gym_replay.py``) runs environments with wrappers or their own ``step``, and confirms findings.
+In a :class:`pytest_pafot.SimulatorWorld`, a simulator determines the states after each tick
+(``engines/simulation.py``). Environments with wrappers or their own ``step`` are run with ``env.step``
+(``engines/gym_replay.py``), which also confirms findings.
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle

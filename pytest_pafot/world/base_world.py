@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FirstDecision:
-    """The first observation of a policy and the action that it must return, described for error messages."""
+    """A description of a policy's first observation and expected action, for error messages."""
 
     is_si: bool
     # A sentence on the observation and the action.
@@ -59,7 +59,7 @@ class FirstDecision:
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """Describe the first decision of a scenario, or return None if the run fails before it."""
+    """Describe the first decision in a scenario, or return None if the run fails before it."""
     seen: list[Any] = []
     trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
@@ -79,7 +79,7 @@ def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: S
 
 
 class RoadStart(NamedTuple):
-    """The required lane and speed [m/s] of the ego at the start, and the ticks per second."""
+    """The ego's required lane and speed [m/s] at the start, and the ticks per second."""
 
     lane: int
     speed: float
@@ -95,14 +95,14 @@ LASTS = (0.01, 86400.0)
 
 
 class EgoVehicle(Protocol):
-    """A field that accepts a vehicle type or the name of one, and returns the vehicle type."""
+    """A field that accepts a vehicle type or its name, and returns the vehicle type."""
 
     def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
     def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
 
 
 class BaseWorld(ABC):
-    """The base class of all worlds. Only this package derives worlds from it."""
+    """The base class of all worlds. Only this package may derive classes from it."""
 
     clearance: float
     headway: float
@@ -119,7 +119,7 @@ class BaseWorld(ABC):
     @property
     @abstractmethod
     def speed_limit(self) -> float:
-        """The highest target speed of NPCs [m/s]."""
+        """The highest target speed [m/s] of NPCs."""
 
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -134,7 +134,7 @@ class BaseWorld(ABC):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The kinds of roads without NPCs that meet the ego's path: crossing, joining or oncoming."""
+        """The kinds of conflict with the ego's path that cannot occur, because no NPCs drive on the other roads."""
         return frozenset()
 
     @property
@@ -159,7 +159,7 @@ class BaseWorld(ABC):
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the options of the environment that have no effect in a search, grouped by the reason.
 
-        ``simulates`` is true if the policy receives the environment.
+        ``simulates`` states whether the policy receives the environment.
         """
         return {}
 
@@ -169,7 +169,7 @@ class BaseWorld(ABC):
         return ()
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether compiled code simulates all ticks of ``ads``, so that a run takes about a millisecond."""
+        """Return whether compiled code simulates every tick of a run of ``ads``, which takes about a millisecond."""
         return False
 
     @property
@@ -187,7 +187,7 @@ class BaseWorld(ABC):
     @property
     @abstractmethod
     def _rules(self) -> Rules:
-        """The settings of runs that are not continued."""
+        """The settings of runs that are not extended."""
 
     @cached_property
     def network(self) -> Any:
@@ -211,7 +211,7 @@ class BaseWorld(ABC):
 
     @property
     def start(self) -> tuple[int, float] | None:
-        """The required lane and speed [m/s] of the ego at the start, or None on a straight road."""
+        """The ego's required lane and speed [m/s] at the start, or None on a straight road."""
         return self.road.prescribed
 
     @property
@@ -228,7 +228,7 @@ class BaseWorld(ABC):
 
     @property
     def longest_run(self) -> float:
-        """The longest duration of a run [s]. A run of a shorter scenario ends earlier."""
+        """The longest duration [s] of a run. A run of a shorter scenario ends earlier."""
         return self.rules.duration if self.rules.lasts is None else self.rules.lasts
 
     @property
@@ -238,7 +238,7 @@ class BaseWorld(ABC):
 
     @property
     def takes_over(self) -> tuple[str, ...]:
-        """The names of the reference drivers that can take over."""
+        """The names of the reference drivers that can take over the ego."""
         return tuple(REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
@@ -250,9 +250,9 @@ class BaseWorld(ABC):
         self.rules.check_fits(scenario)
 
     def lasting(self, seconds: float) -> Self:
-        """Return a copy of this world in which runs take ``seconds``, even if the scenario or ``duration`` is shorter.
+        """Return a copy of this world in which runs last ``seconds``, even if the scenario or ``duration`` is shorter.
 
-        The NPCs with the longest chain continue with its last instruction. Other NPCs keep their lane and speed.
+        NPCs with the longest chain continue their last instruction. Other NPCs keep their lane and speed.
 
         Raises:
             WorldError: if ``seconds`` is not a number from 0.01 to 86400.
@@ -271,10 +271,10 @@ class BaseWorld(ABC):
         return self._driven_by(lambda: (_reference_driver(name), None), scenario)
 
     def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Repeat a run up to a tick, at which a reference driver takes over the ego.
+        """Repeat a run up to a tick, and then let a reference driver take over the ego.
 
         Raises:
-            WorldError: for an unknown name, a tick that the run does not have, or a trace with a different tick rate.
+            WorldError: for an unknown name, a tick after the end of the run, or a trace with a different tick rate.
         """
         if not 0 <= tick <= trace.ticks:
             raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
@@ -375,7 +375,7 @@ class BaseWorld(ABC):
         )
 
     def space(self, given: Mapping[str, Any]) -> SearchSpace:
-        """Return the space of the scenarios that fit this world and the given fields, as ``space_on`` makes it."""
+        """Return the search space for this world and the given fields, as created by ``space_on``."""
         from pytest_pafot.algorithms.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
 
         given = {**given, "tick": self.tick} if self.tick else given
@@ -399,7 +399,7 @@ class BaseWorld(ABC):
         return True
 
     def run_of(self, trace: Trace) -> Run:
-        """Return the run, as a test function receives it, for a trace of this world."""
+        """Return a trace of this world as the run that a test function receives."""
         return Run(trace, take_over=TakingOver(self))
 
 
@@ -411,7 +411,7 @@ def _reference_driver(name: str) -> ReferenceDriver:
 
 @dataclass(frozen=True, slots=True)
 class TakingOver:
-    """A callable that repeats a run up to a tick, at which the careful driver takes over."""
+    """A callable that repeats a run up to a tick and then lets the careful driver take over."""
 
     world: BaseWorld
 
@@ -437,24 +437,24 @@ class Highway(BaseWorld):
     """A straight motorway of three to six lanes.
 
     The ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a
-    :class:`pytest_pafot.LaneCommand`. It can also be a highway-env vehicle class, which drives itself.
+    :class:`pytest_pafot.LaneCommand`. The ADS can also be a highway-env vehicle class, which drives itself.
 
     Attributes:
         lanes: number of lanes, from 3 to 6.
-        speed_limit: speed limit [m/s]. The default is 60 mph, as in the paper.
+        speed_limit: speed limit [m/s], by default 60 mph, as in the paper.
         physics_hz: simulation ticks per second.
         ads_hz: decisions of the policy per second, a divisor of ``physics_hz``.
-        duration: longest duration of a run [s].
-        clearance: smallest gap between the ego and the cells ahead of and behind it [m]. NPCs can come closer.
-        headway: time gap at which NPCs start ahead of or behind the ego [s].
+        duration: longest duration [s] of a run.
+        clearance: smallest gap [m] between the ego and the cells ahead of and behind it. NPCs can come closer.
+        headway: time gap [s] at which NPCs start ahead of or behind the ego.
         limits: limits of the NPCs.
-        ego: vehicle of the ego ([types](scenarios.md#vehicles)): a ``pafot.VehicleType``, or the name of a built-in
+        ego: the ego's vehicle ([types](scenarios.md#vehicles)): a ``pafot.VehicleType``, or the name of a built-in
             type.
-        hang_limit: wall-clock time after which a decision of the policy is interrupted [s].
-        lasts: longer duration of all runs, set by :meth:`lasting`. It is not saved with the world.
+        hang_limit: wall-clock time [s] after which a decision of the policy is interrupted.
+        lasts: duration [s] of all runs, if :meth:`lasting` has set it. It is not saved with the world.
 
     Raises:
-        WorldError: if a value cannot be used; the message states the possible values.
+        WorldError: if a value cannot be used. The message states the possible values.
     """
 
     lanes: int = 4
@@ -491,14 +491,14 @@ class Highway(BaseWorld):
         Args:
             scenario: scenario to run.
             ads_factory: function that returns the policy, or a highway-env vehicle class, which drives itself.
-            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy is called after them.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes the later ones.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
-            WorldError: if ``decisions`` are given with a vehicle class, which returns no decisions.
-            Exception: any exception of the factory. An exception of the policy ends the run as ``ads_error``.
+            WorldError: if ``decisions`` are given for a vehicle class, which returns no decisions.
+            Exception: any exception that the factory raises. An exception in the policy ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -525,13 +525,13 @@ class Highway(BaseWorld):
         return not self.ego.has_limits and idm_model(ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's highway-v0."""
+        """Simulate a scenario as :meth:`rollout` does, but with the ``env.step`` of highway-env's highway-v0."""
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
         return replay_highway(self.rules, scenario, Policy(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the world as data for a corpus file, which :func:`pytest_pafot.world.from_dict` reads."""
+        """Return the world as data for a corpus file, which :func:`pytest_pafot.world.from_dict` can read."""
         return {"kind": "highway", **self._to_dict()}
 
     @cached_property

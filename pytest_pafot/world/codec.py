@@ -1,7 +1,7 @@
 """Conversion between worlds and the data in files.
 
-Files may come from untrusted sources, so no file may decide which code runs. A user's simulator and the wrappers of an
-environment are code. For a world with code, a replay uses the test's world, if its name matches the file.
+Files may come from untrusted sources, so no file may decide which code runs. A user's simulator and an environment's
+wrappers are code. For a world with code, a replay uses the test's world, if the name in the file matches.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ LONGEST_DECISION = 600.0
 
 
 def checked_world(given: Any) -> BaseWorld:
-    """Return the argument if it is a world of this package.
+    """Return the given world if its class is one of this package's world classes.
 
     Raises:
-        WorldError: for anything else, including a derived class.
+        WorldError: for any other object, including an instance of a derived class.
     """
     if type(given) in (*BUILT_IN.values(), SimulatorWorld):
         world: BaseWorld = given
@@ -60,7 +60,7 @@ def checked_world(given: Any) -> BaseWorld:
 
 
 def from_dict(data: Mapping[str, Any]) -> BaseWorld:
-    """Make a world from data that :func:`described`, or ``to_dict`` of a built-in world, has returned.
+    """Create a world from the data that :func:`described`, or the ``to_dict`` of a built-in world, returned.
 
     Raises:
         WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env, or
@@ -136,7 +136,7 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
 
 
 def described(world: BaseWorld) -> dict[str, Any]:
-    """Return a world as data for a file."""
+    """Return the description of a world for a file."""
     data = world.to_dict()
     if not isinstance(world, SimulatorWorld):
         return data
@@ -147,10 +147,10 @@ def described(world: BaseWorld) -> dict[str, Any]:
 
 
 def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> BaseWorld:
-    """Make the world that a file describes, with runs and decisions no longer than in ``own``, the test's world.
+    """Create the world that a file describes, with runs and decisions no longer than in the test's world ``own``.
 
     Raises:
-        WorldError: as :func:`from_dict`, and if :func:`within` cannot shorten the runs of a simulator.
+        WorldError: as for :func:`from_dict`, or if :func:`within` cannot shorten the runs of a simulator.
     """
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
@@ -168,9 +168,9 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
 
 
 def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
-    """Return the data of a world with runs and decisions no longer than in ``own``, the test's world.
+    """Return a world's data, changed so that runs and decisions take no longer than in the test's world ``own``.
 
-    A file from an untrusted source must not decide how long a session takes. Only the start of a longer run is
+    A file from an untrusted source must not decide how long a session takes. Of a longer run, only the start is
     simulated.
     """
     limits: dict[str, float] = {}
@@ -189,7 +189,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = 
 
 
 def cuts(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how :func:`within` shortens the run of a file."""
+    """Describe how :func:`within` shortens the run in a file."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
@@ -210,15 +210,15 @@ def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
 
 
 def is_code(data: Mapping[str, Any]) -> bool:
-    """Return whether the world of a file is code, which only the test can provide."""
+    """Return whether a file's world consists of code, which only the test can provide."""
     return data.get("kind") == OWN or "wrappers" in data
 
 
 def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return ``world``, which the test names, if it is the world of the file.
+    """Return ``world``, the test's world, if it matches the world in the file.
 
     Raises:
-        WorldError: if a field of ``NAMED_BY`` differs, or if the world of the file is no longer supported.
+        WorldError: if a field of ``NAMED_BY`` differs, or if the file's world is no longer supported.
     """
     now = described(world)
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
@@ -235,13 +235,13 @@ def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
 
 
 def of_named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return the world of a file, or ``world``, which the user names, if the file's world is code."""
+    """Return the file's world, or the user's ``world`` if the file's world is code."""
     same = named(data, world)
     return same if is_code(data) else from_dict(data)
 
 
 def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from a file whose world is code."""
+    """Describe how the test's world differs from the file's world, if that world is code."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))

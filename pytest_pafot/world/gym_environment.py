@@ -1,4 +1,4 @@
-"""The environment of a world: checked, without random traffic, and in the requested wrappers."""
+"""A world's environment, which is checked, has no random traffic, and is in the requested wrappers."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class EnvironmentGuard(HangGuard):
     """A time limit for the code of an environment and its wrappers.
 
     Args:
-        hang_limit: limit of a decision in the world [s]; the code of the environment may take longer. Decisions within
+        hang_limit: time limit [s] for a decision in the world. The environment's code may take longer. Decisions within
             a step have separate guards.
     """
 
@@ -154,8 +154,8 @@ class EnvironmentGuard(HangGuard):
         """Guard a call of the environment in a ``with`` block.
 
         Raises:
-            WorldHang: if it does not return in time.
-            OutOfTime: if the time of the search has run out.
+            WorldHang: if the call does not return in time.
+            OutOfTime: if the search has run out of time.
         """
         try:
             with self.decision():
@@ -167,7 +167,7 @@ class EnvironmentGuard(HangGuard):
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Exclude a ``with`` block, in which other code runs, from the time of a call."""
+        """Exclude a ``with`` block, in which other code runs, from the time of the guarded call."""
         started, now = self.started, self.clock()
         self.decision_ends()
         try:
@@ -195,13 +195,13 @@ def _interrupted_method(error: AdsHang) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GymEnvironment:
-    """The environment of a world. It is made when it is first used.
+    """The environment of a world, created at its first use.
 
     Attributes:
         env_id: id of the registered environment.
-        config: configuration of the user; None for the registered configuration.
-        wrappers: wrappers of the user; None if the policy must see the environment without wrappers.
-        hang_limit: limit of a decision in the world [s].
+        config: the user's configuration. None for the registered configuration.
+        wrappers: the user's wrappers. None if the policy must see the environment without wrappers.
+        hang_limit: time limit [s] for a decision in the world.
     """
 
     env_id: str
@@ -211,10 +211,10 @@ class GymEnvironment:
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """Guard a call of an environment outside of a run, in a ``with`` block.
+        """Guard a call of an environment in a ``with`` block outside a run.
 
         Raises:
-            WorldError: if it does not return in time.
+            WorldError: if the call does not return in time.
         """
         try:
             with EnvironmentGuard(self.hang_limit) as guard, guard.call():
@@ -225,10 +225,10 @@ class GymEnvironment:
             raise WorldError(field="env_id", expected=expected, received=f"a failure: {error}", fix=fix) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
-        """Make a new environment in all its wrappers, with or without random traffic.
+        """Create an environment in all its wrappers, with or without random traffic.
 
-        A user's environment that cannot be reset without other vehicles starts with its traffic, which the NPCs
-        replace.
+        A user's environment that cannot be reset without other vehicles keeps its traffic at the start, and the NPCs
+        then replace that traffic.
         """
         # Reject first what would take minutes to make.
         creator, given = _creator(self.env_id), self.config or {}
@@ -278,7 +278,7 @@ class GymEnvironment:
 
     @cached_property
     def outer(self) -> Any:
-        """The environment in its wrappers, after a reset in which these may have changed the configuration."""
+        """The environment in its wrappers, after a reset in which the wrappers may have changed the configuration."""
         outer = self.make()
         if wrapper_names(outer):
             env = outer.unwrapped
@@ -333,7 +333,7 @@ class GymEnvironment:
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers and traffic. No run changes it."""
+        """The environment without wrappers and traffic. Runs do not change it."""
         return self.outer.unwrapped
 
     @cached_property
@@ -342,7 +342,7 @@ class GymEnvironment:
 
     @cached_property
     def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        """The solid objects on the road: x [m], y [m], heading [rad], length and width [m]."""
+        """The x [m], y [m], heading [rad], length [m] and width [m] of each solid object on the road."""
         return obstacles_of(self.unwrapped)
 
     @cached_property
@@ -351,7 +351,7 @@ class GymEnvironment:
 
     @cached_property
     def traffic(self) -> TrafficClass:
-        """The class of the environment's traffic, which the environment's code expects NPCs to have.
+        """The traffic class of the environment, to which NPCs must belong in the environment's code.
 
         Raises:
             WorldError: if the NPCs cannot have this class.
@@ -376,7 +376,7 @@ class GymEnvironment:
             ) from error
 
     def road(self, np_random: Any = None) -> Any:
-        """Return a new road without vehicles and objects, for one run."""
+        """Return a new road without vehicles or objects, for one run."""
         own, connected = self.unwrapped.road, self.unwrapped.config.get(CONNECTED, False)
         made = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
             self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
@@ -387,7 +387,7 @@ class GymEnvironment:
 
     @cached_property
     def compiled_lanes(self) -> StraightRoad | Network | None:
-        """The road as numbers for the kernel, or None if the kernel does not know one of its lanes."""
+        """The road in the kernel's form, or None if the kernel does not support one of its lanes."""
         road = self.straight_road
         if road is not None and road.starts_at_origin:
             return road
@@ -400,12 +400,12 @@ class GymEnvironment:
 
     @property
     def route(self) -> tuple[Any, ...] | None:
-        """The ego's planned route. None if it has no route, or if the road is straight."""
+        """The ego's planned route, or None if there is none or the road is straight."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must call the environment's ``step``, because it or its road overrides highway-env."""
+        """Return whether runs must call the environment's ``step``, because user code replaces it or the road's."""
         road = self.unwrapped.road
         steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
@@ -419,9 +419,9 @@ class GymEnvironment:
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
-        """The methods of the environment that can end an episode earlier than a run.
+        """The environment's methods that can end an episode before the run would end.
 
-        A run ends anyway at a contact, after the duration and, unless the road is straight, when the ego leaves it.
+        Every run ends at a contact, after its duration and, unless the road is straight, when the ego leaves the road.
         """
         found, cls, config = [], type(self.unwrapped), self.unwrapped.config
         for name in ENDS:
@@ -435,26 +435,28 @@ class GymEnvironment:
 
     @cached_property
     def step_limit(self) -> int | None:
-        """The number of steps to which gymnasium's ``TimeLimit`` limits an episode, or None without a limit.
+        """The step limit of gymnasium's ``TimeLimit`` for an episode, or None without a limit.
 
-        A limit outside of other wrappers is ignored here, because these wrappers may repeat steps.
+        A limit that encloses other wrappers is ignored here, because these wrappers may repeat steps.
         """
         inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return min((each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None)
 
     @property
     def has_own_ends(self) -> bool:
-        """True if an episode can end before the duration of the run.
+        """Whether an episode can end before the run has reached its duration.
 
-        This includes all environments with a user's ``step``, because its return value is not known in advance.
+        This includes all environments with a user's ``step``, because the return value of ``step`` is not known in
+        advance.
         """
         return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
 
     @cached_property
     def ends_in_steps(self) -> bool:
-        """True if runs must call ``step`` to find out whether an episode has ended.
+        """Whether runs must call ``step`` to find out if an episode has ended.
 
-        A wrapper, a limit of steps outside of other wrappers, or the environment's own ``step`` can then end it.
+        A wrapper, a step limit that encloses other wrappers, or the environment's own ``step`` can then end the
+        episode.
         """
         others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return self.has_own_step or any(
@@ -468,9 +470,9 @@ class GymEnvironment:
 
     @cached_property
     def own_state(self) -> tuple[str, ...]:
-        """The names of attributes with values that the environment's code can change in place.
+        """The names of attributes that the environment's code can change in place.
 
-        Each run gets copies of these values, except for values of libraries and values that cannot be copied.
+        Each run gets copies of the values, except for objects of libraries and values that cannot be copied.
         """
         env, found = self.unwrapped, []
         homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {"highway_env", "gymnasium"}
@@ -485,14 +487,14 @@ class GymEnvironment:
         return tuple(found)
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must be episodes of the environment, because of its ``step`` or ``reset``."""
+        """Return whether each run must be an episode of the environment, because of its ``step`` or ``reset``."""
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
         is_its_own = resets_itself or self.sets_ends
         return self.steps_itself(drives_itself=drives_itself) or (is_its_own and not drives_itself)
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The user's methods for rewards, infos and ends that change attributes, with the attributes' names.
+        """The user's methods for rewards, infos and ends that change attributes, with the names of these attributes.
 
         Runs that are not episodes of the environment do not call them.
         """
@@ -515,10 +517,10 @@ class GymEnvironment:
         return found
 
     def check_keeps_no_ego(self) -> None:
-        """Reject an environment whose code keeps using the ego of its reset during a run.
+        """Reject an environment if, during a run, its code keeps using the ego that its reset created.
 
         Raises:
-            WorldError: if the ego of a run does not replace that ego everywhere.
+            WorldError: if the run's ego does not replace that ego everywhere.
         """
         if self._keeper:
             raise WorldError(
@@ -549,7 +551,7 @@ class GymEnvironment:
         Args:
             is_planner: whether the ego decides in SI units.
             drives_itself: whether the ego is a vehicle class, which may react to other vehicles as IDM does.
-            simulates: whether the policy receives the environment, with vehicles of its traffic's class.
+            simulates: whether the policy receives the environment, with vehicles of the traffic class.
             ends: whether the environment can end runs.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
@@ -640,7 +642,7 @@ def _assigned(cls: Any, name: str) -> list[str]:
 
 
 def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
-    """Return the solid objects on a road: x [m], y [m], heading [rad], length and width [m]."""
+    """Return the x [m], y [m], heading [rad], length [m] and width [m] of each solid object on a road."""
     found = []
     for each in env.road.objects:
         if each.solid:
@@ -650,17 +652,17 @@ def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ..
 
 
 def has_own_act(road: Any) -> bool:
-    """Return whether a road controls its vehicles with a user's ``act``."""
+    """Return whether a user's ``act`` controls the vehicles on a road."""
     return type(road).act is not Road.act or "act" in vars(road)
 
 
 def wrapper_names(env: Any) -> list[str]:
-    """Return the class names of an environment's wrappers, the innermost first, without gymnasium's own."""
+    """Return the class names of an environment's wrappers except gymnasium's, with the innermost first."""
     return [type(each).__name__ for each in wrappers_of(env) if type(each) not in NEUTRAL]
 
 
 def wrappers_of(env: Any) -> list[Any]:
-    """Return all wrappers of an environment, the innermost first."""
+    """Return all wrappers of an environment, with the innermost first."""
     found = []
     while isinstance(env, gymnasium.Wrapper):
         found.append(env)
@@ -670,9 +672,9 @@ def wrappers_of(env: Any) -> list[Any]:
 
 @contextmanager
 def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
-    """Undo changes that a ``with`` block makes to constants of highway-env's vehicle classes.
+    """Undo the changes that a ``with`` block makes to the constants of highway-env's vehicle classes.
 
-    After the block, the yielded mapping contains the changed constants by class.
+    After the block, the yielded mapping contains the changed constants of each class.
     """
     classes, queue = set(), [Vehicle]
     while queue:
@@ -737,7 +739,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Reject values with which highway-env would compute for minutes, except in options of unknown meaning."""
+    """Reject values with which highway-env would compute for minutes, except for unknown options."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -769,7 +771,7 @@ def _check_size(place: str, config: Any) -> None:
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """Return the limit that the value of an option exceeds, also in a list, or an empty string."""
+    """Return the limit that an option's value, or an item of its list, exceeds, or an empty string."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
@@ -890,7 +892,7 @@ def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_t
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace each value that is equivalent to the environment's default by the default, such as a list by a tuple."""
+    """Replace each value that is equivalent to the environment's default, such as a list for a tuple, with it."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

@@ -1,4 +1,4 @@
-"""A world with the road, observations, actions and rates of a registered highway-env environment."""
+"""A world with the road, observations, actions and rates of a registered environment that derives from highway-env."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ LONGEST_RUN = 60.0
 
 @dataclass(frozen=True)
 class World(BaseWorld):
-    """A world on the road of a registered gymnasium environment that derives from highway-env's ``AbstractEnv``.
+    """A world on the road of a registered gymnasium environment of a class derived from highway-env's ``AbstractEnv``.
 
-    The policy receives the observations of the environment and returns actions. The factory of the policy can have a
+    The policy receives the observations of the environment and returns actions. The policy's factory can have a
     parameter ``env``, for a planner that simulates inside the environment. The policy can also be a highway-env vehicle
     class, which drives itself. With ``planner_hz``, the policy is a planner in SI units, as in
     :class:`pytest_pafot.Highway`. The NPCs replace the environment's random traffic.
@@ -56,18 +56,19 @@ class World(BaseWorld):
     Attributes:
         env_id: id of the registered environment, such as ``"highway-v0"``.
         config: options of the environment, as in ``gymnasium.make(env_id, config=config)``.
-        duration: longest duration of a run [s]. The default is the ``duration`` of the environment, but at most 60 s on
+        duration: longest duration [s] of a run. The default is the ``duration`` of the environment, but at most 60 s on
             a curved road.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
-        wrappers: functions that take an environment and return it wrapped, the innermost first. Required if the
-            environment is registered with wrappers.
-        planner_hz: decisions of a planner per second, a divisor of the ``simulation_frequency``. None for a policy with
-            the observations and actions of the environment.
+        wrappers: functions that wrap an environment and return the result, with the innermost wrapper first. Required
+            if the environment is registered with wrappers.
+        planner_hz: decisions of a planner per second, a divisor of the ``simulation_frequency``. None for a policy that
+            uses the environment's observations and actions.
         lasts, ego: as in :class:`pytest_pafot.Highway`.
         ends: ``"environment"`` if the environment can end a run early, or ``"duration"`` if it cannot.
 
     Raises:
-        WorldError: if an argument cannot be used. The environment itself is made at the first use, or by :meth:`check`.
+        WorldError: if an argument cannot be used. The environment itself is created by :meth:`check`, or at its first
+            use.
     """
 
     env_id: str
@@ -112,10 +113,10 @@ class World(BaseWorld):
         object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
-        """Make the environment now, to check that it can be used.
+        """Create the environment now, to check that it can be used.
 
         Raises:
-            WorldError: if it cannot be used. The message states why.
+            WorldError: if the environment cannot be used. The message states why.
         """
         road, rules = self.road, self.rules
         self.limits.top_speed(road.speed_limit)
@@ -130,7 +131,7 @@ class World(BaseWorld):
 
     @property
     def road(self) -> Road:
-        """The environment's road, or the ego's path through it unless it is straight."""
+        """The environment's road if it is straight, and otherwise the ego's path through it."""
         return self.rules.road
 
     @property
@@ -179,7 +180,7 @@ class World(BaseWorld):
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             WorldError: if the environment cannot be used.
-            Exception: any exception of the factory. An exception of the policy ends the run as ``ads_error``.
+            Exception: any exception that the factory raises. An exception in the policy ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -262,7 +263,7 @@ class World(BaseWorld):
         return GymEnvironment(self.env_id, self.config, self.wrappers, self.hang_limit)
 
     def make(self) -> Any:
-        """Make a new environment without traffic, in all its wrappers."""
+        """Create a new environment without traffic, in all its wrappers."""
         return self.environment.make()
 
     @property
@@ -327,7 +328,7 @@ class World(BaseWorld):
 
 
 def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of a world's discrete meta-actions, in the order of their numbers, or an empty tuple."""
+    """Return the names of a world's discrete meta-actions, ordered by number, or an empty tuple if there are none."""
     config = world.get("config")
     given = config.get("action") if isinstance(config, Mapping) and not world.get("planner_hz") else None
     if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":

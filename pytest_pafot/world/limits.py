@@ -31,7 +31,7 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "braking": (0.1, 100.0, ""),
         "jerk": (0.1, 1000.0, ""),
         "lateral_acceleration": (0.1, 100.0, ""),
-        "overspeed": (1.0, 8.0, ", so that NPCs can reach target speeds up to the limit"),
+        "overspeed": (1.0, 8.0, ", so that NPCs can reach target speeds up to the speed limit"),
         "heading": (0.01, math.pi / 4, ", so that no NPC drives sideways"),
     }
 )
@@ -44,16 +44,16 @@ OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
 class NpcLimits:
     """Physical limits that every NPC obeys at every tick.
 
-    A vehicle type may have lower limits.
+    A vehicle type can have lower limits.
 
     Attributes:
-        acceleration: strongest acceleration [m/s^2].
-        braking: strongest deceleration, as a positive number [m/s^2].
-        jerk: largest change of the acceleration per second [m/s^3]. An NPC that comes to a stop can exceed it.
-        lateral_acceleration: largest product of the speed and the turning rate of the heading or of the direction of
-            motion [m/s^2].
+        acceleration: largest acceleration [m/s^2].
+        braking: largest deceleration [m/s^2], as a positive number.
+        jerk: largest change in acceleration per second [m/s^3]. An NPC that comes to a stop can exceed this limit.
+        lateral_acceleration: largest product [m/s^2] of the speed and the turning rate, either of the heading or of the
+            direction of motion.
         overspeed: top speed as a multiple of the speed limit.
-        heading: largest angle between an NPC and its lane [rad].
+        heading: largest angle [rad] between an NPC and its lane.
     """
 
     acceleration: float = 5.0
@@ -68,14 +68,14 @@ class NpcLimits:
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
     def of(self, vehicle: VehicleType) -> NpcLimits:
-        """Return the limits of an NPC of a vehicle type, which can be lower than these."""
+        """Return the limits for NPCs of a vehicle type, which can be lower than these limits."""
         if vehicle is CAR:
             return self  # the result of the code below, but faster
         own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
         return replace(self, **own) if own else self
 
     def top_speed(self, speed_limit: float) -> float:
-        """Return the highest speed of NPCs on a road with a speed limit [m/s].
+        """Return the highest speed [m/s] of NPCs on a road with a speed limit.
 
         Raises:
             WorldError: if highway-env's vehicles cannot drive that fast.
@@ -99,13 +99,13 @@ MOST_TICKS = 400_000
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """Return ``value`` as a float, or raise an error with ``why`` if it is not a number from ``low`` to ``high``."""
+    """Return ``value`` as a float. If it is not a number from ``low`` to ``high``, raise an error with ``why``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def whole_if_possible(rate: float) -> float:
-    """Return a rate as an int if it is a whole number, except for rounding errors."""
+    """Return a rate as an int if, apart from rounding errors, it is a whole number."""
     return round(rate) if abs(rate - round(rate)) < 1e-9 * rate else rate
 
 
@@ -116,7 +116,7 @@ def whole_within(name: str, value: object, low: int, high: int) -> int:
 
 
 def plain_data(name: str, value: Any) -> Any:
-    """Copy data in the form that a corpus file can contain: tuples and numpy arrays become lists."""
+    """Copy data, with tuples and numpy arrays replaced by lists, so that a corpus file can contain it."""
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):
@@ -133,14 +133,14 @@ def plain_data(name: str, value: Any) -> Any:
 
 
 def check_ticks(duration: float, physics_hz: float) -> None:
-    """Reject a duration [s] with more than ``MOST_TICKS`` ticks, because the record would take too much memory."""
+    """Reject a duration [s] with more than ``MOST_TICKS`` ticks, because the record would need too much memory."""
     if duration * physics_hz > MOST_TICKS:
         expected = f"at most {int(MOST_TICKS / physics_hz)} s at {physics_hz:.6g} ticks per second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
-    """Reject two rates, each a pair (name, rate), if a decision does not last a whole number of ticks."""
+    """Reject two rates, each given as a pair (name, rate), if a decision does not last a whole number of ticks."""
     (physics_name, physics_hz), (ads_name, ads_hz) = physics, ads
     if physics_hz % ads_hz == 0:
         return

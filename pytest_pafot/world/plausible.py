@@ -1,4 +1,4 @@
-"""Checks for impossible motion, which is an error in a user's simulator or environment."""
+"""Checks for impossible motion, which indicates an error in a user's simulator or environment."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ STILL, MOVING, SHIFT = 0.5, 2.0, 0.1
 
 
 class Implausible(Exception):  # noqa: N818  (it ends a run, and is no error of the package)
-    """An impossible motion of a vehicle in a simulator or environment of the user.
+    """An impossible motion of a vehicle in the user's simulator or environment.
 
     The run ends at the previous tick and is invalid.
     """
 
 
 class Plausibility:
-    """A check that a user's code moves the vehicles of a run as vehicles can move."""
+    """A check that a user's code moves a run's vehicles only as real vehicles can move."""
 
     def __init__(self, states: Sequence[Sequence[float]], dt: float) -> None:
         self._dt, self._change = dt, CHANGE * dt + SPEED_SLACK
@@ -38,10 +38,10 @@ class Plausibility:
         self.doubt = ""
 
     def check(self, states: Sequence[Sequence[float]], method: str, accelerations: Sequence[float] = ()) -> None:
-        """Check the states after the next tick, which the user's ``method`` has set.
+        """Check the states that the user's ``method`` has set for the next tick.
 
         Raises:
-            Implausible: for the first vehicle with an impossible motion.
+            Implausible: if a vehicle has moved in an impossible way.
         """
         self._tick = tick = self._tick + 1
         if self.doubt:

@@ -1,7 +1,7 @@
 """The reference driver, which shows whether a careful driver could have avoided a failure.
 
-It decides at every physics tick, keeps its lane and knows only the observation. It is ``careful-human``, the competent
-and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series: annex 3).
+The driver decides at every physics tick, keeps its lane and knows only the observation. It is called ``careful-human``,
+and models the competent and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series: annex 3).
 
 The regulation's model only reacts to danger. In ordinary traffic, the regulation requires a following distance
 (5.2.3.3), so the driver brakes gently to keep a headway of two seconds. At junctions, which the model does not cover,
@@ -82,7 +82,7 @@ WATCHED = 6.0
 
 
 class Leader(NamedTuple):
-    """A vehicle ahead of the ego."""
+    """A vehicle ahead of the ego, to which a driver reacts."""
 
     # A named tuple, because several are created in each tick, and a dataclass would be slower.
     gap: float  # between the two boxes along the road [m], negative if they overlap
@@ -92,12 +92,12 @@ class Leader(NamedTuple):
 
     @property
     def time_to_collision(self) -> float:
-        """The time to collision at constant speeds [s], or infinity if the gap does not shrink."""
+        """The time [s] to collision at constant speeds, or infinity if the gap does not shrink."""
         return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
 
     @property
     def is_critical(self) -> bool:
-        """True if a careful driver behind this vehicle has to brake hard."""
+        """Whether a careful driver behind this vehicle has to brake hard."""
         near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
         is_braking = self.braking > LEADER_BRAKING and self.gap < near
         return is_braking or self.time_to_collision < TIME_TO_COLLISION
@@ -154,13 +154,13 @@ class ReferenceDriver(ABC):
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
-        """Adopt the lane and the highest speed so far of the driver that now controls the ego."""
+        """Adopt the lane, and the highest speed so far, of the driver that currently controls the ego."""
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     def at_junction(self, observation: Observation) -> float:
-        """Return the highest acceleration that vehicles on other paths allow [m/s^2], or infinity without these."""
+        """Return the highest acceleration [m/s^2] that vehicles on other paths allow, or infinity if there are none."""
         if not observation.crossing:
             return math.inf
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
@@ -173,7 +173,7 @@ class ReferenceDriver(ABC):
         return min(wishes, default=math.inf)
 
     def before_zone(self, observation: Observation, other: CrossingVehicle, waits: bool) -> float:
-        """Return the highest acceleration that one vehicle on another path allows [m/s^2]."""
+        """Return the highest acceleration [m/s^2] that one vehicle on another path allows."""
         ego = observation.ego
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
@@ -190,7 +190,7 @@ class ReferenceDriver(ABC):
         return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether the driver waits before a zone until a vehicle has passed or there is room behind it."""
+        """Return whether the driver waits before a zone until a vehicle has passed, or has left room behind it."""
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
@@ -215,17 +215,17 @@ class ReferenceDriver(ABC):
 
     @abstractmethod
     def wish(self, observation: Observation) -> float:
-        """Return the acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration [m/s^2] that the driver currently wants."""
 
     def held(self, condition: str, holds: bool) -> float:
-        """Return how long a condition has been true without a break [s], or minus infinity if it is false."""
+        """Return how long [s] a condition has been true without interruption, or minus infinity if it is false."""
         if not holds:
             self.since.pop(condition, None)
             return -math.inf
         return self.now - self.since.setdefault(condition, self.now)
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
-        """Return a vehicle in any lane as a leader, or None if its centre is not ahead of the ego's centre."""
+        """Return a vehicle in any lane as a leader, or None unless its centre is ahead of the ego's centre."""
         ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
@@ -245,8 +245,8 @@ class ReferenceDriver(ABC):
 class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
-    The driver needs 0.4 s to perceive a danger and 0.75 s to brake, and then brakes with up to 0.774 g until the danger
-    is over. Without danger, it needs the same times before it reacts to a new vehicle ahead.
+    The driver needs 0.4 s to perceive a danger and another 0.75 s to start braking, and then brakes at up to 0.774 g
+    until the danger is over. Without danger, the driver needs the same time before it reacts to a new vehicle ahead.
     """
 
     brakes_from: float = math.inf
@@ -297,9 +297,10 @@ class CarefulHuman(ReferenceDriver):
 
 
 class RecordedBody(Body):
-    """The ego of a recorded run, which repeats the recorded states up to a tick and then obeys its controls.
+    """The ego in a repeated run, which takes the recorded states up to a tick and then obeys its controls.
 
-    States repeat the runs of all kinds of policies to the last bit. Decisions would only repeat those of planners.
+    Recorded states repeat a run of any kind of policy to the last bit. Recorded decisions would do so only for
+    planners.
     """
 
     def __init__(self, trace: Trace, tick: int) -> None:
@@ -317,7 +318,7 @@ class RecordedBody(Body):
 
 @dataclass(slots=True)
 class Relief:
-    """A reference driver that takes over at ``time`` [s] and only watches shortly before."""
+    """A reference driver that takes over at ``time`` [s], and only observes for a short time before that."""
 
     driver: ReferenceDriver
     time: float
@@ -335,9 +336,9 @@ REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CARE
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
-    """Return whether a vehicle is in the ego's way, or visibly leaves its lane towards the ego.
+    """Return whether a vehicle is in the ego's way, or visibly moves out of its lane towards the ego.
 
-    ``drift`` is the vehicle's speed to the right [m/s].
+    ``drift`` is the vehicle's speed [m/s] to the right.
     """
     if _apart(ego, other) <= 0:  # the boxes overlap across the road
         return True

@@ -1,4 +1,4 @@
-"""The rules that all runs of a world share, with checks of scenarios and the starts of vehicles."""
+"""The rules that all runs in a world share, with checks of scenarios and the start positions of vehicles."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.world.roads.road import Pose, Road
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """The settings that all runs of a world share."""
+    """The settings that all runs in a world share."""
 
     road: Road
     # Ticks and decisions per second.
@@ -65,16 +65,16 @@ class Rules:
 
     @property
     def crossings(self) -> Crossings | None:
-        """The zones and paths for Crossing-Instructions, or None if no other path meets the ego's path."""
+        """The zones and paths for Crossing-Instructions, or None if no other path conflicts with the ego's path."""
         return self.road.crossings
 
     @property
     def ego_start(self) -> float:
-        """The position of the ego along the road at the start [m]."""
+        """The ego's position [m] along the road at the start."""
         return self.road.ego_start(self.headway, self.clearance)
 
     def ego_position(self, scenario: Scenario) -> Pose:
-        """Return world x [m], y [m] and heading [rad] of the ego at tick 0."""
+        """Return the ego's world x [m], y [m] and heading [rad] at tick 0."""
         return self.road.position(self.ego_start, scenario.ego_lane, self.ego)
 
     def ego_speed(self, scenario: Scenario) -> float:
@@ -89,7 +89,7 @@ class Rules:
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
-        """Return the director that moves the NPCs in one run, around an ego of the given length [m]."""
+        """Return the director that controls the NPCs of one run, for an ego of the given length [m]."""
         return self.road.director(
             scenario,
             self.limits,
@@ -141,7 +141,7 @@ class Rules:
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
-        """Return a fixed object at the ego's start, or within its headway if the ego may start anywhere."""
+        """Return a fixed object at the ego's start, or within the headway if the ego can start anywhere."""
         gap = max(self.headway * speed, self.clearance) if self.road.prescribed is None else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
@@ -149,7 +149,7 @@ class Rules:
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
-        """Raise the error for a scenario in which the ego would start at a fixed object, or too close to it to stop."""
+        """Raise an error for a scenario in which the ego starts at a fixed object, or too close to one to stop."""
         road, speed = self.road, scenario.ego_speed
         x, y, _ = road.position(self.ego_start, scenario.ego_lane)
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
@@ -202,7 +202,7 @@ class Rules:
                     raise ScenarioError(field=field, expected=expected, received=received)
 
     def ticks(self, scenario: Scenario) -> int:
-        """Return the number of ticks of a run that nothing ends early."""
+        """Return the number of ticks of a run that does not end early."""
         seconds = min(self.duration, scenario.seconds) if self.lasts is None else self.lasts
         ticks = int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
         return ticks if self.step_limit is None else min(ticks, self.step_limit)
@@ -211,9 +211,9 @@ class Rules:
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
 ) -> tuple[list[float], list[tuple[float, float, float, float]]]:
-    """Return the positions of all vehicles along their paths at tick 0 [m], the ego first, and each NPC's start.
+    """Return the positions [m] of all vehicles along their paths at tick 0, ego first, and each NPC's start.
 
-    A start is x [m], y [m], heading [rad] and speed [m/s].
+    A start consists of x [m], y [m], heading [rad] and speed [m/s].
     """
     road, start, apart = rules.road, rules.ego_start, rules.start_distance(scenario, ego_length)
     around = [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]

@@ -97,14 +97,14 @@ class SimulatorWorld(BaseWorld):
 
     Attributes:
         simulator: class of the simulator, or a function without parameters that creates one.
-        ads_hz: decisions of the policy per second: the ticks per second divided by a whole number. The default is 5, or
-            the next higher possible value.
-        duration: longest duration of a run [s].
-        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. The time limit of the
+        ads_hz: decisions of the policy per second. The value must be the ticks per second divided by a whole number.
+            The default is 5, or the next higher possible value.
+        duration: longest duration [s] of a run.
+        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. The time limit for the
             simulator's methods is ten times ``hang_limit``, but at least a minute.
 
     Raises:
-        WorldError: if a value cannot be used. The simulator is made and checked when it is first used.
+        WorldError: if a value cannot be used. The simulator is created and checked when it is first used.
     """
 
     simulator: Callable[[], Simulator] = field(kw_only=False)
@@ -130,7 +130,7 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def simulators(self) -> Simulators:
-        """The simulators of this world in this process. A run takes one, and gives it back at its end."""
+        """The simulators that this world has created in this process. Each run borrows one until it ends."""
         return Simulators(self.simulator)
 
     @cached_property
@@ -154,7 +154,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def is_native(self) -> bool:
-        """True if the policy receives the observations of the simulator."""
+        """Whether the policy receives the simulator's observations."""
         return self._stated.native
 
     @property
@@ -168,12 +168,12 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def moves_ego_only(self) -> bool:
-        """True if the simulator moves only the ego, so that controls may take effect late or in part."""
+        """Whether the simulator moves only the ego, so that controls can take effect late or only partly."""
         return self._stated.moves_ego_only
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """The packages that the simulator's class names, or none if a function makes the simulator."""
+        """The packages that the simulator's class lists, or none if a function creates the simulator."""
         maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
         return getattr(maker, "packages", ())  # of the class, because making a simulator may fail
 
@@ -183,7 +183,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def road(self) -> Road:
-        """The road: straight, or the ego's path along lanes of any shape."""
+        """The road: a straight road, or the ego's path along lanes of any shape."""
         return self._on_road.road
 
     @cached_property
@@ -268,10 +268,10 @@ class SimulatorWorld(BaseWorld):
         return tuple(found)
 
     def check(self) -> None:
-        """Make the simulator now, to check its attributes.
+        """Create the simulator now, to check its attributes.
 
         Raises:
-            WorldError: if one cannot be used. The message names it.
+            WorldError: if an attribute cannot be used. The message names it.
         """
         _ = self.rules
 
@@ -291,16 +291,16 @@ class SimulatorWorld(BaseWorld):
 
         Args:
             scenario: scenario to run.
-            ads_factory: function that returns the policy, called once.
-            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy is called after them.
+            ads_factory: function that returns the policy. It is called once.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes the later ones.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
             WorldError: if an attribute of the simulator cannot be used.
-            Exception: any exception of the factory or the simulator. An exception of the policy ends the run as
-                ``ads_error``.
+            Exception: any exception that the factory or the simulator raises. An exception in the policy ends the run
+                as ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -362,7 +362,7 @@ class SimulatorWorld(BaseWorld):
         return RepeatedBody(length, width, trace.actions, tick)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return data for a corpus file, with the data of the simulator's ``to_dict`` as ``simulator``."""
+        """Return data for a corpus file, with the result of the simulator's ``to_dict`` under the key ``simulator``."""
         # The lanes, the speed limit and the ticks are for the reader, and show whether the simulator has changed.
         own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
         own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
@@ -372,10 +372,10 @@ class SimulatorWorld(BaseWorld):
 
     @classmethod
     def of(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
-        """Make a world from the return value of :meth:`to_dict` and the class of its simulator.
+        """Create a world from the return value of :meth:`to_dict` and the simulator's class.
 
         Raises:
-            Exception: any exception of the class, for data that it does not accept.
+            Exception: any exception that the class raises for data that it does not accept.
         """
         given, stated = dict(data), ("lanes", "speed_limit", "physics_hz")
         own = {name: given.pop(name) for name in stated}
@@ -434,7 +434,7 @@ def _check_statements(simulator: Any) -> _Stated:
     """Return the checked attributes of a simulator.
 
     Raises:
-        WorldError: for a value that cannot be used. The message names the attribute.
+        WorldError: if a value cannot be used. The message names the attribute.
     """
     if not isinstance(simulator, Simulator):
         expected, received = "a callable that creates a pafot.Simulator", f"one that returned {simulator!r:.200}"
@@ -453,7 +453,7 @@ def _check_statements(simulator: Any) -> _Stated:
 
     def in_si(field: str, low: float, high: float, unit: str) -> float | None:
         value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
-        why = f", because {name}.{unit} is {of:.6g}"
+        why = f" if {name}.{unit} is {of:.6g}"
         return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
 
     def several(field: str, of: str) -> Sequence[Any]:
@@ -475,7 +475,7 @@ def _check_statements(simulator: Any) -> _Stated:
             expected, fix = f"none with reference = {reference!r}", 'set reference = "rear axle", or omit this'
         raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
     if offset is not None:
-        offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " [m]")
+        offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " metres")
     for each in several("packages", "package names"):
         if not isinstance(each, str):
             raise WorldError(field=f"{name}.packages", expected="package names, as strings", received=f"{each!r:.100}")
@@ -530,7 +530,7 @@ def _hz(simulator: Simulator, name: str) -> float:
     low, high = PHYSICS_HZ
     dt = simulator.dt
     if dt is not None:
-        dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, ", in seconds")
+        dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, " seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
         fix = "set only dt or hz; if dt is your own attribute, call it _dt"
@@ -539,7 +539,7 @@ def _hz(simulator: Simulator, name: str) -> float:
 
 
 def _check_names(cls: type[Simulator]) -> None:
-    """Reject an attribute that nothing reads, if its name looks like a misspelling."""
+    """Reject an unused attribute with a name that looks like a misspelling."""
     classes = [each for each in cls.__mro__[:-1] if each is not Simulator and each.__module__ in sys.modules]
     stated = [
         name

@@ -1,6 +1,6 @@
 """The parts of highway-env that the package uses, imported without matplotlib and pandas.
 
-These two libraries take three times as long to import as the rest of highway-env, and most runs never use them.
+These two libraries take three times as long to import as the rest of highway-env, and most runs do not use them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class _Later(ModuleType):
 
 @contextmanager
 def _later() -> Iterator[None]:
-    """Replace imports of matplotlib and pandas in a ``with`` block by placeholders that import them at first use."""
+    """Replace imports of matplotlib and pandas in a ``with`` block with placeholders that import them at first use."""
     pyplot = _Later("matplotlib.pyplot")
     libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
     absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}

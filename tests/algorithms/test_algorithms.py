@@ -103,18 +103,20 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
 @pytest.mark.parametrize("search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name)
 def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evaluation):
     rng = np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected a state from ask"):
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         search.tell(search.start(rng), [make_evaluation()], rng)
     state, asked = search.ask(search.start(rng), rng)
     for scenarios in (asked, ()):
         with pytest.raises(
-            RuntimeError, match=f"ask: expected a call of tell .*, which returned {len(scenarios)} scenarios"
+            RuntimeError, match=f"ask: expected a call to tell .*, which returned {len(scenarios)} scenarios"
         ):
             search.ask(replace(state, asked=scenarios), rng)
     evaluations = [make_evaluation(scenario) for scenario in asked]
     with pytest.raises(ValueError, match="tell: expected 4 evaluations, one per scenario, but received 3"):
         search.tell(state, evaluations[:3], rng)
-    with pytest.raises(ValueError, match=r"at index 0, but received the evaluation of .*\. Keep the order"):
+    with pytest.raises(
+        ValueError, match=r"at index 0, but received the evaluation of .*\. Pass the evaluations in the order"
+    ):
         search.tell(state, evaluations[::-1], rng)
 
 
@@ -125,10 +127,10 @@ def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evalua
     ("tests.algorithms.test_algorithms:Onw", r"expected a name in the module tests.algorithms.test_algorithms, "
      r"received 'tests.algorithms.test_algorithms:Onw'\. Did you mean 'tests.algorithms.test_algorithms:Own'\?"),
     ("builtins:<lambda>",
-     r"in the module builtins, received 'builtins:<lambda>'\. The module has __build_class__, __import__"),
-    (RandomSearch(), r"expected one of random, .*, a class, or module:Class, but received RandomSearch\(.* the class"),
-    (Nameless, r"expected a class with name, start, ask and tell, but Nameless has no start, tell, name\."),
-    (GenerationalSearch, r"but GenerationalSearch has no propose, start, name\."),
+     r"in the module builtins, received 'builtins:<lambda>'\. The module defines __build_class__, __import__"),
+    (RandomSearch(), r"expected one of random, .*, a class or module:Class, but received RandomSearch\(.* the class"),
+    (Nameless, r"expected a class with name, start, ask and tell, but Nameless does not define start, tell and name\."),
+    (GenerationalSearch, r"but GenerationalSearch does not define propose, start and name\."),
     (Borrowed, r"expected a unique name for Borrowed, but received 'pafot'"),
 ])  # fmt: skip
 def test_wrong_algorithm_error_names_what_is_expected(given, message):
@@ -178,5 +180,5 @@ def test_a_new_best_is_reported_once(make_evaluation):
 
 
 def test_an_empty_population_is_refused():
-    with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, but received 0"):
+    with pytest.raises(ValueError, match="population: expected a whole number from 1 to 10000, but received 0"):
         Fresh(population=0)

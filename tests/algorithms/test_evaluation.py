@@ -82,8 +82,8 @@ def test_an_evaluation_is_read_from_a_trace():
     ({}, ""),
     ({"ended": "Goal._is_terminated"}, "Goal._is_terminated"),
     ({"ended": "highway_env.envs.merge_env.MergeEnv._is_terminated"}, ""),
-    ({"outcome": Outcome.LEFT_ROUTE}, "the ego's leaving its route"),
-    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego's leaving the road"),
+    ({"outcome": Outcome.LEFT_ROUTE}, "the ego's exit from its route"),
+    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego's exit from the road"),
     ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 20}, ""),  # it drove on, on a straight road
     ({"outcome": Outcome.END_OF_ROAD}, ""),
 ])  # fmt: skip

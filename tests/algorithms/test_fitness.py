@@ -148,7 +148,7 @@ class TestResolve:
         def odd(trace):
             return value
 
-        with pytest.raises(FitnessError, match=r"expected odd to return a number, but received .*\. Return a float"):
+        with pytest.raises(FitnessError, match=r"expected odd to return a number, but it returned .*\. Return a float"):
             resolve(odd)(following())
 
     def test_function_that_raises_is_explained_with_its_cause(self):

@@ -45,7 +45,7 @@ def test_a_search_without_a_run_is_vacuous():
 def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
     health = health_of(make_evaluation, (4, fields))
     assert health.vacuous
-    assert any(warning.startswith("most of 4 simulated scenarios tested nothing: ") for warning in health.warnings())
+    assert any(warning.startswith("4 of 4 runs (100 %) tested nothing (") for warning in health.warnings())
     assert health_of(make_evaluation, (2, {}), (3, fields)).vacuous
     assert not health_of(make_evaluation, (3, {}), (3, fields)).vacuous
 
@@ -53,7 +53,7 @@ def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
 GOAL = {"ended": "GoalEnv._is_terminated", "duration": 8.0, "gap": 3.2}
 ENDED = (
     "ended early without a collision, because of GoalEnv._is_terminated. In {} of them, a vehicle was within two "
-    "seconds of the ego. The smallest gap to a vehicle was 3.2 m. Correct what ended them, or let them continue with "
+    "seconds of the ego. The smallest gap to a vehicle was 3.2 m. Correct the cause, or let the runs continue with "
     'ends="duration" in a pafot.World.'
 )
 
@@ -66,7 +66,7 @@ ENDED = (
 def test_early_ends_are_said_from_a_tenth_and_warn_from_half_of_the_runs(make_evaluation, runs, close, says, warns):
     groups = (close, GOAL | {"is_close": True}), (runs - close, GOAL | {"gap": 4.0} if close else GOAL), (10 - runs, {})
     health = health_of(make_evaluation, *groups)
-    sentence = f"{runs}0 % ({runs}) of 10 runs {ENDED.format(close)}" if says else ""
+    sentence = f"{runs} of 10 runs ({runs}0 %) {ENDED.format(close)}" if says else ""
     assert (health.early_ends, health.warnings()) == (sentence, [sentence] if warns else [])
     assert not health.vacuous
 
@@ -83,9 +83,9 @@ def test_early_ends_of_rejected_runs_count(make_evaluation):
 def test_leaving_the_road_is_an_early_end_with_its_own_advice(make_evaluation):
     health = health_of(make_evaluation, (3, GOAL), (6, GOAL | {"ended": LEAVING[Outcome.OFF_ROAD]}))
     (warning,) = health.warnings()
-    assert "100 % (9) of 9 runs" in warning
-    assert "because of the ego's leaving the road (6) and GoalEnv._is_terminated (3). In 0 of them" in warning
-    assert warning.endswith("Check the units and axes of the world, and of the actions of the ADS.")
+    assert "9 of 9 runs (100 %)" in warning
+    assert "because of the ego's exit from the road (6) and GoalEnv._is_terminated (3). In 0 of them" in warning
+    assert warning.endswith("Check the units and axes of the world and of the ADS's actions.")
 
 
 @table("seconds", [0.3, 1.0, 1.1])
@@ -99,7 +99,8 @@ def test_an_error_in_what_ends_episodes_is_named_with_what_to_do(make_evaluation
     failed = {"outcome": Outcome.INVALID, "ended": "GoalEnv._is_terminated failed: KeyError: 'goal'"}
     (first, *_) = health_of(make_evaluation, (4, failed)).warnings()
     assert first == (
-        "4 of 4 simulated scenarios tested nothing. Most often: GoalEnv._is_terminated failed: KeyError: 'goal'. "
+        "4 of 4 simulated scenarios (100 %) tested nothing. The most frequent error: GoalEnv._is_terminated failed: "
+        "KeyError: 'goal'. "
         'Correct it, or write ends="duration" in the world.'
     )
 
@@ -109,11 +110,11 @@ def test_more_than_a_quarter_of_runs_that_a_simulator_made_invalid_tested_too_li
         {"outcome": Outcome.INVALID, "ended": f"Jumps.states, tick {tick}: NPC 0 moved 50.5 m in a tick"}
         for tick in (60, 61)
     ]
-    warning = "2 of {} simulated scenarios tested nothing. For example: Jumps.states, tick 60: NPC 0 moved 50.5 m in a"
-    for others, tested_too_little in ((6, False), (5, True)):
+    told_of = "tested nothing. One of the errors: Jumps.states, tick 60: NPC 0 moved 50.5 m in a"
+    for others, share, tested_too_little in ((6, "25 %", False), (5, "29 %", True)):
         health = health_of(make_evaluation, (others, {}), *[(1, each) for each in jumps])
         (told,) = health.warnings()
-        assert told.startswith(warning.format(others + 2))
+        assert told.startswith(f"2 of {others + 2} simulated scenarios ({share}) {told_of}")
         assert told.endswith(" in a tick. Correct it.")
         assert health.vacuous is tested_too_little
 
@@ -122,14 +123,14 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     invalid = {"outcome": Outcome.INVALID}
     assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []
     assert health_of(make_evaluation, (2, {}), (1, invalid)).warnings() == [
-        "33 % (1) of 3 simulated scenarios tested nothing, because an NPC touched another NPC or a fixed object. "
+        "1 of 3 simulated scenarios (33 %) tested nothing, because an NPC touched another NPC or a fixed object. "
         "Use fewer NPCs, more lanes or shorter runs."
     ]
 
 
 @table(("fields", "expected"), [
-    ({"interaction": False}, "67 % (2) of 3 valid runs never brought an NPC near the ego"),
-    ({"barely_moved": True}, "67 % (2) of 3 valid runs had an ego with a mean speed below 2 m/s"),
+    ({"interaction": False}, "in 2 of 3 valid runs (67 %), no NPC came near the ego in the ego's lane"),
+    ({"barely_moved": True}, "in 2 of 3 valid runs (67 %), the ego's mean speed was below 2 m/s"),
 ])  # fmt: skip
 def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, expected):
     assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []

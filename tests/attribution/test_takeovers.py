@@ -121,8 +121,8 @@ def test_drive_goes_on_for_four_seconds():
 
 
 def test_sentences_on_takeovers():
-    assert sentence(1.25) == "A careful driver could avoid it by taking over 1.25 s before the impact or earlier."
-    assert sentence(0.0) == "A careful driver who takes over in the last 3 s cannot reliably avoid it."
+    assert sentence(1.25) == "A careful driver who took over at least 1.25 s before the impact would have avoided it."
+    assert sentence(0.0) == "A careful driver who took over in the last 3 s could not reliably have avoided it."
 
 
 def constantly_driven(cell, speed, ego_speed):

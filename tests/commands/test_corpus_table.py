@@ -179,7 +179,7 @@ def test_a_link_that_leads_out_is_broken(here, capsys, tmp_path_factory):
     save(here, finding("a"))
     (here / "pafot_corpus" / "test_it" / "test_x" / "b.pafot.yaml").symlink_to(secret)
     rows = listed(capsys, code=1)
-    assert "a link that leads out of it" in rows[1]["what"]
+    assert "a link to a file outside it" in rows[1]["what"]
     assert "password" not in str(rows)
 
 

@@ -66,22 +66,25 @@ def test_redundant_act_is_read_without_error():
 
 @table(("old", "new", "field", "expected"), [
     ("slot: 0.5, ", "", "scenario.npcs.NPC 0[0]", "the key 'slot'"),
-    ("speed: 8.6}]", "speed: 8.6, act: wave}]", "scenario.npcs.NPC 0[0].act", "one of pass, hold, stop, late"),
-    ("speed: 8.6}]", "speed: 8.6, acts: hold}]", "scenario.npcs.NPC 0[0].acts", "one of zone, slot, speed, act"),
-    ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "a value in steps of 0.1 m/s"),
-    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "a value in steps of 0.1 seconds"),
+    ("speed: 8.6}]", "speed: 8.6, act: wave}]", "scenario.npcs.NPC 0[0].act", "'pass', 'hold', 'stop' or 'late'"),
+    ("speed: 8.6}]", "speed: 8.6, acts: hold}]", "scenario.npcs.NPC 0[0].acts",
+     "the key 'zone', 'slot', 'speed' or 'act' of a CrossingInstruction"),
+    ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "a multiple of 0.1 m/s"),
+    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "a multiple of 0.1 s"),
     ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "at most 5 seconds before or after the ego"),
-    ("slot: 0.5", "slot: soon", "scenario.npcs.NPC 0[0].slot", "a finite number"),
+    ("slot: 0.5", "slot: soon", "scenario.npcs.NPC 0[0].slot", "a number from -1,000,000,000"),
     ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and the exit of a path"),
-    ("zone: o1>o3,", "zone: o1>o3, cell: front,", "scenario.npcs.NPC 0[0].zone", "one of cell, speed"),
+    ("zone: o1>o3,", "zone: o1>o3, cell: front,", "scenario.npcs.NPC 0[0].zone",
+     "the key 'cell' or 'speed' of a PositionInstruction"),
     ("8.6}]", "8.6}, {cell: rear, speed: 8}]", "scenario.npcs.NPC 0[1].cell", "a CrossingInstruction like npcs[0][0]"),
     ("8.0}]\n    NPC 2: [{zone", "8.0}, {zone", "scenario.npcs.NPC 1[1]", "a PositionInstruction like npcs[1][0]"),
     ("8.6}]", "8.6}, {lane: keep, speed: 8}]", "scenario.npcs.NPC 0[1]", "a CrossingInstruction like npcs[0][0]"),
     ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
-    ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
-    ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
+    ("zone: crossing from the left", "zone: crossing from above", "expect.zone",
+     "'crossing from the left', 'crossing from the right'"),
+    ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a number from -1,000,000,000"),
     (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
-    ("npc_enters: 1.8", "npc_enters: 1.8, gap: 0", "expect.situation.gap", "one of npc, time, npc_enters"),
+    ("npc_enters: 1.8", "npc_enters: 1.8, gap: 0", "expect.situation.gap", "the key 'npc', 'time', 'npc_enters'"),
 ])  # fmt: skip
 def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
     assert TEXT.count(old) == 1
@@ -96,8 +99,8 @@ IN_LANES = text_of(plain_finding(scenario=LANES))
 
 
 @table(("wrong", "message"), [
-    ("{lane: up, speed: 22.3}", r"scenario.npcs.NPC 0\[0\].lane: expected one of keep, left, right, received 'up'"),
-    ("{cell: front, lane: left, speed: 1.0}", r"scenario.npcs.NPC 0\[0\].lane: expected one of cell, speed"),
+    ("{lane: up, speed: 22.3}", r"scenario.npcs.NPC 0\[0\].lane: expected 'keep', 'left' or 'right', received 'up'"),
+    ("{cell: front, lane: left, speed: 1.0}", r"scenario.npcs.NPC 0\[0\].lane: expected the key 'cell' or 'speed'"),
     ("{cell: front, speed: 22.3}", r"npcs.NPC 0\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
     ("{lane: left, speed: 22.35}", r"speed: expected a speed of at least 0 m/s"),
 ])  # fmt: skip

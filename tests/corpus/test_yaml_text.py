@@ -144,6 +144,7 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
 @pytest.mark.parametrize("content", [b"<OpenSCENARIO/>", b"", b"x" * 300_000, b"a: 1"])
 def test_file_of_another_tool_is_not_said_to_be_broken(content):
     with pytest.raises(
-        CorpusError, match=r"a file of a different kind; give a file whose name ends with \.pafot\.yaml"
+        CorpusError,
+        match=r"received a different kind of file, .* wrote; give a file whose name ends with \.pafot\.yaml",
     ):
         parse(Path("run.xosc"), content)

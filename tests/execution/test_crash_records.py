@@ -166,7 +166,7 @@ def test_folder_that_others_could_have_planted_is_refused(tmp_path, is_link, lev
         record.write(SCENARIO)
     assert "If this process crashes, no record will name" in str(record.error)
     assert f"other users can write to {place}" in str(record.error)
-    assert str(record.error).endswith("delete that folder, or set TMPDIR to a folder that belongs to you")
+    assert "(delete that folder, or set TMPDIR to a folder that belongs to you). If" in str(record.error)
     with pytest.raises(CrashRecordError, match=f"other users can write to {place}"):
         leftovers(folder)
 

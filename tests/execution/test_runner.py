@@ -103,7 +103,9 @@ def test_isolated_runs_are_refused_where_no_process_starts(runner_of, monkeypatc
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(os, "fork", refuse)
-    with pytest.raises(ExecutionError, match=r"--pafot-isolate: expected processes .*temporarily unavailable"):
+    with pytest.raises(
+        ExecutionError, match=r"--pafot-isolate: expected a process for the ADS, .*temporarily unavailable"
+    ):
         runner_of(Planner, isolate=True).once(SCENARIOS[0])
 
 

@@ -114,7 +114,7 @@ def test_giving_way_is_fixed_but_not_meeting_drifted():
 
 def test_missed_situation_names_both_moments():
     text = missed(Expect.of(crash(), FAILS).situation, passes(enters=12.0))
-    assert text.startswith("the situation did not occur: NPC 0 was ")
+    assert text.startswith("the situation did not occur: before the saved run failed, NPC 0 was ")
     assert "s from its zone at 9.0 m/s, with the ego" in text
     assert text.count("zone") == 2
 

@@ -136,11 +136,11 @@ def test_a_verdict_and_a_moment_tell_the_same_gap():
 
 def test_a_moment_is_told_in_one_line():
     moment = Moment(time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
-    saw = "NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower"
-    start = f"At 4.9 s the policy saw {saw}, and chose acceleration 0.0 m/s^2"
+    saw = "NPC 0 (12.3 m ahead, 0.2 m to the left, 6.1 m/s slower)"
+    start = f"At 4.9 s, the policy saw {saw} and chose acceleration 0.0 m/s^2"
     assert str(moment) == moment.brief == f"{start}."
-    probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
-    other = "with NPC 0 2 m nearer acceleration -4.0 m/s^2"
+    probed = replace(moment, hidden="", otherwise="2 m nearer: acceleration -4.0 m/s^2")
+    other = "with NPC 0 2 m nearer: acceleration -4.0 m/s^2"
     assert probed.brief == f"{start}; {other}."
     hidden = "with NPC 0 hidden, it chose the same"
     assert sorted(str(probed).removesuffix(".").split("; ")) == sorted([start, hidden, other])
@@ -256,7 +256,7 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
     assert moment.time == trace.decision_ticks[number] / trace.physics_hz
     assert moment.action == "acceleration 0.0 m/s^2"
     assert moment.hidden == ""
-    assert moment.otherwise.endswith("m nearer acceleration -3.0 m/s^2")
+    assert moment.otherwise.endswith("m nearer: acceleration -3.0 m/s^2")
     gap = float(moment.seen.partition(" m ahead")[0])
     assert gap >= 20.0 >= gap - float(moment.otherwise.partition(" m nearer")[0])
 

@@ -48,19 +48,19 @@ def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(ot
 
 
 def test_there_are_seven_labels_and_two_words_for_new_findings():
-    assert {*GROUPS} - {*get_args(Label)} == {*get_args(New), "passes (found in another scenario)", NOT_AGAIN}
-    assert {*get_args(Label)} - {*GROUPS} == {"fixed"}
+    assert {*GROUPS} - {*get_args(Label)} == {*get_args(New), *PASSED}
+    assert {*get_args(Label)} - {*GROUPS} == {"fixed", "passes"}
     assert len(get_args(Label)) == 7
 
 
-NOT_AGAIN = "passes (not found again)"
+PASSED = "passed", "passed (found in another scenario)", "passed (not found again)"
 
 
 @pytest.mark.parametrize(("result", "more"), [
     ("still failing", FAILS),
-    ("passes", PASSES),
-    ("passes (found in another scenario)", PASSES | {"elsewhere": "hit-2"}),
-    (NOT_AGAIN, PASSES | {"searched": 40}),
+    (PASSED[0], PASSES),
+    (PASSED[1], PASSES | {"elsewhere": "hit-2"}),
+    (PASSED[2], PASSES | {"searched": 40}),
 ])  # fmt: skip
 def test_summaries_call_no_pass_a_fix_and_no_pass_a_failure(result, more):
     assert sighting("a", label="drifted", **more).result == result

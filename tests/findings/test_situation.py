@@ -129,9 +129,9 @@ def test_vehicle_alongside_is_met_whatever_the_ego_does(ego, npc, is_met):
 def test_miss_says_where_npc_was_and_came_nearest():
     passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
     assert missed(situation(into_the_side()), passing) == (
-        "the situation did not occur: NPC 0 was side by side with the ego one lane to the right at 20.0 m/s, with "
-        "the ego at 20.0 m/s, before the saved run failed; in this run, the NPC came closest to this when "
-        "it was 15.0 m behind one lane to the left at 20.0 m/s, with the ego at 20.0 m/s, after 4.0 s"
+        "the situation did not occur: before the saved run failed, NPC 0 was side by side with the ego one lane to "
+        "the right at 20.0 m/s, with the ego at 20.0 m/s. In this run, the NPC came closest to this after 4.0 s, when "
+        "it was 15.0 m behind one lane to the left at 20.0 m/s, with the ego at 20.0 m/s"
     )
 
 

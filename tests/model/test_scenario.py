@@ -174,9 +174,9 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
     ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
     ({"ego_speed": -1}, "ego_speed: expected a speed of at least 0 m/s, received -1"),
     ({"ego_speed": math.nan}, "ego_speed: expected a speed of at least 0 m/s, received nan"),
-    ({"gene_seconds": 0}, "gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 0"),
+    ({"gene_seconds": 0}, "gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 0"),
     ({"gene_seconds": 1e9},
-     "gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 1000000000.0"),
+     "gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 1000000000.0"),
 ])  # fmt: skip
 @table("make", [Scenario, Scenario.repaired])
 def test_broken_field_is_refused_by_name(make, fields, message):

@@ -53,7 +53,7 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     assert (result.ret, finding["result"]) == (1, "failed")
     told = " ".join(result.stdout.str().split())
     assert "accepts `The ego's front hit NPC " in told
-    assert f"this failure is `{received}`" in told
+    assert f"this failure differs: {received}" in told
 
 
 @pytest.mark.parametrize(("old", "new", "received"), [

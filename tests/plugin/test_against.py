@@ -74,7 +74,9 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
     told = json.loads((project.path / "pafot.json").read_text())
     (search,), (finding,) = told["searches"], told["findings"]
     paired, id_ = search["paired"], finding["id"]
-    counts = f"{paired['only_new']} fail only now, {paired['only_reference']} only before"
+    counts = (
+        f"{paired['only_new']} failed only with this policy, and {paired['only_reference']} only with the reference"
+    )
     result.stdout.fnmatch_lines(
         [
             f"*found a failed assertion: test_it.py::test_keeps_its_speed?saved-{id_}?*",
@@ -100,8 +102,8 @@ def test_saved_scenario_label_compares_policy_and_reference(changed):
     for now, before, label, told in (
         (SPEEDS, KEEPS, "still failing", "1 failure introduced, 0 fixed, 0 unchanged"),
         (SPEEDS, BREAKS, "still failing", "0 failures introduced, 0 fixed, 1 unchanged"),
-        (KEEPS, SPEEDS, "passes", "0 failures introduced, 1 fixed, 0 unchanged"),
-        (KEEPS, f"{KEEPS}# as now\n", "passes", "0 failures introduced, 0 fixed, 0 unchanged"),
+        (KEEPS, SPEEDS, "passed", "0 failures introduced, 1 fixed, 0 unchanged"),
+        (KEEPS, f"{KEEPS}# as now\n", "passed", "0 failures introduced, 0 fixed, 0 unchanged"),
     ):
         policies(changed, now, before)
         result = changed.run(AGAINST, runs=0)
@@ -182,7 +184,7 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
     changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))  # other scenarios have other numbers of NPCs
     result = changed.run(AGAINST, runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
 
 
 def test_next_session_names_reference_that_ended_the_last(project):

@@ -79,5 +79,5 @@ def test_custom_algorithm_class_is_named_in_all_output(project, argument, option
     )
     result = project.run("-v", *options, runs=32)
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  Algorithm own, seed *"])
+    result.stdout.fnmatch_lines(["  Algorithm: own, with seed *"])
     assert "algorithm: own" in project.only_file.read_text()

@@ -37,7 +37,7 @@ def test_each_garbled_file_or_invalid_name_fails_one_item_with_location(saved):
         )
     lines = [line for line in result.outlines if line.endswith("; rename the file")]
     for name in names:
-        assert any(f"{name}.pafot.yaml: expected a name of letters, digits" in line for line in lines), name
+        assert any(f"{name}.pafot.yaml: expected a file name that consists of 1 to" in line for line in lines), name
 
 
 def test_garbled_file_does_not_stop_its_search(saved):
@@ -51,7 +51,9 @@ def test_unwritable_corpus_loses_no_finding(failing):
     (failing.path / "pafot_corpus").write_text("a file where the folder should be")
     result = failing.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["It is not saved: *expected to write a finding *", "The file would be:", "  pafot: 3"])
+    result.stdout.fnmatch_lines(
+        ["It was not saved: *expected to save a finding, *", "The file would contain:", "  pafot: 3"]
+    )
 
 
 RAISES = """
@@ -99,7 +101,7 @@ def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     result = saved.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
-        ["*run pytest again, since these failures were saved after*:", f"*runs failed like {id_}"]
+        ["*run pytest again, because these failures were saved after*:", f"*runs failed like {id_}"]
     )
     saved.pytester.makeconftest(CONFTEST)
     saved.run().assert_outcomes(failed=1, passed=1)

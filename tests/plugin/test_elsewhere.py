@@ -47,8 +47,8 @@ def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
     assert 0 < replayed["searched"] <= 30
     result.stdout.re_match_lines(
         [
-            r"replayed 1 saved scenario: 1 passes \(not found again\)",
-            r"  passes \(not found again\): .*",
+            r"replayed 1 saved scenario: 1 passed \(not found again\)",
+            r"  passed \(not found again\): .*",
             r"    no such failure in \d+ random runs, so it occurs in .*",
         ]
     )
@@ -64,16 +64,16 @@ def test_a_search_that_finds_the_failure_says_where(project, monkeypatch, args):
     assert (replayed["result"], replayed["elsewhere"]) == ("passed", new)
     result.stdout.fnmatch_lines(
         [
-            "replayed 1 saved scenario: 1 passes (found in another scenario)",
-            "  passes (found in another scenario): *",
+            "replayed 1 saved scenario: 1 passed (found in another scenario)",
+            "  passed (found in another scenario): *",
             f"    {new} fails in the same way",
         ]
     )
     texts = [(project.path / name).read_text(encoding="utf-8") for name in ("page.html", "summary.md")]
     page, summary = texts[0].replace("<wbr>", ""), texts[1]
-    assert "1 passes (found in another scenario)" in summary
+    assert "1 passed (found in another scenario)" in summary
     assert f"{new} fails in the same way" in summary
-    assert "1 saved scenario: 1 passes (found in another scenario)" in page
+    assert "1 saved scenario: 1 passed (found in another scenario)" in page
     assert f"{replayed['node_id']}: {new} fails in the same way" in page
 
 

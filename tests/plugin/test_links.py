@@ -43,7 +43,7 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     for number in range(6):
         name = folder / f"l-{number}.pafot.yaml"
         result.stdout.fnmatch_lines(
-            [f"{name}: expected a file inside the corpus, received a link that leads out of it; *"]
+            [f"{name}: expected a file inside the corpus, received a link to a file outside it; *"]
         )
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()

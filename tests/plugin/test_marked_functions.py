@@ -29,9 +29,9 @@ def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
 
 
 ONCE = ("pytest_benchmark", "pytest_codspeed", "syrupy")
-COLLECTS = "*received one with the fixture '*', which only collects failures*Use `assert`*"
+COLLECTS = "*received one that uses the fixture '*', which only collects failures*Use `assert`*"
 FIXTURES = {"subtests": COLLECTS, "indirectly": COLLECTS}
-FIXTURES |= {f"of_{package}": f"*received one with the fixture 'of_{package}'*{package}*" for package in ONCE}
+FIXTURES |= {f"of_{package}": f"*received one that uses the fixture 'of_{package}' from {package}*" for package in ONCE}
 OF_PACKAGE = """
 @pytest.fixture
 def of_PACKAGE():
@@ -80,7 +80,7 @@ def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.write(test.replace("LEAST", "99"))
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*received one with pytest-check, which only collects failures*"])
+    result.stdout.fnmatch_lines(["*received one that uses pytest-check, which only collects failures*"])
 
 
 def test_unsuitable_function_is_one_error_and_others_run(project):
@@ -129,7 +129,7 @@ def test_other():
     result.assert_outcomes(errors=9, passed=1)
     told = {
         "test_async": "*expected a synchronous function, received an async function*Write `def`*",
-        "TestCase.test_method": "*received a method of the unittest.TestCase TestCase*",
+        "TestCase.test_method": "*received a method of TestCase, a unittest.TestCase*",
         "test_nothing": "expected a parameter 'run'*Add it, as in `def test_nothing(run)`",
         "test_misspelt": "*expected a parameter 'run'*received the parameters (rnu). Add it*",
         "test_double": "*expected the parameter 'run' to be free for the simulated run*",
@@ -204,7 +204,7 @@ WRONG = [
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     (
         "world=pafot.Highway",
-        "*(world=...): expected pafot.Highway(...), pafot.World(...)*received <class*; call it: Highway(...)",
+        "*(world=...): expected pafot.Highway(...), pafot.World(...)*received <class*. Call it: Highway(...)",
     ),
     ("lanes=3", "*(lanes=...): expected an argument of a search*. Write world=pafot.Highway(lanes=...)*"),
     ("generations=0", "*(generations=0): expected at least 1, because 0 generations test nothing*"),
@@ -235,7 +235,7 @@ def test_wrong_argument_is_an_error_before_any_fixture(project):
 
 REFUSED = [
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-    ("gene_seconds=0", "*gene_seconds: expected a number of seconds greater than 0 and at most 86400, received 0*"),
+    ("gene_seconds=0", "*gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 0*"),
     ("SHORT, instructions='cell'", "*instructions: expected one of cells, lanes, both, but received 'cell'*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
@@ -256,7 +256,7 @@ def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
     project.write("@pafot.search(ads='adss')\ndef test_drive(run):\n    pass\n")
     project.run().stdout.fnmatch_lines(
         [
-            "the fixture 'adss', which returns the factory of the policy, was not",
+            "the fixture 'adss', which must return the policy's factory, was not",
             "  found; did you mean 'ads'[?]",
             "    def adss():",
             'Or name another fixture with @pafot.search(ads="..."), or pass a',
@@ -291,7 +291,7 @@ def test_skip_outside_the_test_function_is_an_error(project):
     result = project.run()
     result.assert_outcomes(failed=len(cases))
     for n, (where, _) in enumerate(cases):
-        told = f"*the {where}* raised *A skip is not allowed there*Call pytest.skip() in the fixture or*"
+        told = f"*the {where}* raised *but a skip there would hide that *Call pytest.skip() in the fixture or*"
         shows(result, f"test_drive_{n}", told)
 
 
@@ -316,7 +316,7 @@ def test_skips_later(run):
     result = project.run("-v")
     assert result.parseoutcomes()["failed"] == 1 + len(project.files)
     assert project.files
-    result.stdout.fnmatch_lines(["  It took * s: 4 runs (2 skipped)*"])
+    result.stdout.fnmatch_lines(["  It took * s for 4 runs (2 skipped)*"])
 
 
 @pytest.mark.parametrize("skip", ["pytest.skip('not today')", "raise unittest.SkipTest('not today')"])

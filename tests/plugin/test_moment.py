@@ -23,7 +23,11 @@ def run(project, *args, **options):
 
 
 @pytest.mark.parametrize(
-    ("error", "told"), [(OutOfTime(), "out of time"), (IndexError("not here"), "IndexError: not here")]
+    ("error", "told"),
+    [
+        (OutOfTime(), "were not examined, because the time ran out"),
+        (IndexError("not here"), "were not examined: IndexError: not here"),
+    ],
 )
 def test_an_examination_without_time_or_with_an_error_loses_no_finding(project, monkeypatch, error, told):
     def fails(*_):
@@ -35,7 +39,7 @@ def test_an_examination_without_time_or_with_an_error_loses_no_finding(project, 
     result, record, contents = run(project)
     result.assert_outcomes(failed=2)
     assert (record["moment"], len(contents)) == (None, 1)
-    result.stdout.fnmatch_lines([f"*note: decisions of saved-{record['id']} not examined: {told}*"])
+    result.stdout.fnmatch_lines([f"*note: the decisions of saved-{record['id']} {told}*"])
 
 
 HIDES = """
@@ -53,7 +57,7 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     result, record, _ = run(project, "--pafot-shrink-runs=0")
     moment = record["moment"]
     assert (moment["npc"], moment["action"], moment["hidden"], moment["otherwise"]) == (0, "1", "", None)
-    result.stdout.re_match_lines([r"At \d+\.\d s the policy saw NPC 0 .*"])
+    result.stdout.re_match_lines([r"At \d+\.\d s, the policy saw NPC 0 .*"])
     apart = run(project, "--pafot-shrink-runs=0", "--pafot-isolate")[1]
     assert apart["moment"] == moment
 
@@ -118,7 +122,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
     assert row.endswith(") -> True")
     result.stdout.re_match_lines(
-        [r"At \d+\.\d s the policy saw .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
+        [r"At \d+\.\d s, the policy saw .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
     )
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
     apart = run(project, *options, "--pafot-isolate", runs=80, seed=4)[1]

@@ -79,14 +79,14 @@ def saved_wrapped(project):
     return project
 
 
-WAY_OUT = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
+WAY_OUT = "Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
 
 
 @pytest.mark.parametrize(("world", "told"), [
-    ("Ring()", f"received <test_it.Ring object at *>; {WAY_OUT}"),
-    ("Ring", f"received <class 'test_it.Ring'>; {WAY_OUT}"),
-    ("Derived()", "received Derived(*; use pafot.Highway itself, because a file cannot describe*"),
-    ("pafot.Highway", "received <class *Highway'>; call it: Highway(...)"),
+    ("Ring()", f"received <test_it.Ring object at *>. {WAY_OUT}"),
+    ("Ring", f"received <class 'test_it.Ring'>. {WAY_OUT}"),
+    ("Derived()", "received Derived(*. Use pafot.Highway itself, because a file cannot describe*"),
+    ("pafot.Highway", "received <class *Highway'>. Call it: Highway(...)"),
 ])  # fmt: skip
 def test_what_is_no_world_of_the_package_is_refused_with_the_way_out(project, world, told):
     write(project, RING, WORLD=world, VERDICT=PASSES)
@@ -123,7 +123,7 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
     assert load(saved_wrapped.only_file).flaky is None
     saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     wrapped(saved_wrapped, verdict=PASSES)
-    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
+    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
 
 
 @pytest.mark.parametrize(("wrappers", "shape", "now"), [

@@ -26,7 +26,7 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     assert load(project.only_file).perception == Sight(latency=0.1, range=0.0)
     assert found in page.read_text(encoding="utf-8").lower()
 
-    change = f"{found}, run with"
+    change = f"{found}, but run with"
     project.write(TEST.replace("PERCEPTION", "dropout=0.01"))
     result = project.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
@@ -35,7 +35,7 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     project.write(TEST.replace("PERCEPTION", "range=0.0"))
     result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"Result of the replay: still failing: {change} a range of 0 m."])
+    result.stdout.fnmatch_lines([f"Result of the replay: still failing ({change} a range of 0 m)."])
 
 
 def no_collision(run):

@@ -48,7 +48,7 @@ def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     saved.write(PASSES)
     result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passes"])
+    result.stdout.fnmatch_lines(["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passed"])
     assert saved.contents == before
 
 
@@ -92,7 +92,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day has passed. Correct *"
+OVER = "  warning: *: the failure was accepted (planner issue 12, until 2027-01-31), but that day has passed. Correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
@@ -117,7 +117,7 @@ def test_passing_replay_under_other_versions_has_drifted(saved):
     result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env 0.* then, * now"]
+        ["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env * instead of 0.*"]
     )
     saved.run("--pafot-strict-drift", runs=0).assert_outcomes(failed=1, skipped=1)
 
@@ -128,7 +128,7 @@ def test_replay_without_incident_reports_how_long_it_lasted(project):
     project.pytester.makeconftest(BRAKING)
     edited(project, "highway-env: ", "highway-env: 0.")
     result = project.run(runs=0)
-    result.stdout.fnmatch_lines(["    *collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
+    result.stdout.fnmatch_lines(["    *safe for 10.0 s instead of collision at * s; highway-env * instead of 0.*"])
 
 
 CUT_IN = """
@@ -149,7 +149,7 @@ def test_pass_without_its_situation_is_no_fix(project):
     told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
     result = project.run(*told, "--pafot-against=before:make", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    missed = "the situation did not occur: NPC"
+    missed = "the situation did not occur: before the saved run failed, NPC"
     result.stdout.fnmatch_lines(
         [
             "*1 drifted",
@@ -169,7 +169,7 @@ def test_uneventful_runs_are_compared_by_most_critical_moment(project):
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
     result = project.run(runs=0)
     result.stdout.fnmatch_lines(
-        ["*drifted: safe and most critical at 99.5 s in the file, safe and most critical at * s now."]
+        ["*drifted (safe and most critical at * s instead of safe and most critical at 99.5 s)."]
     )
 
 
@@ -201,7 +201,11 @@ def check_copies(project, edits):
 
 def test_invalid_world_or_scenario_fails_item_with_line(saved):
     edits = [
-        ("lanes: 4", "lanes: 40", "15: world.lanes: expected a whole number from 3 to 6, received 40; correct it, *"),
+        (
+            "lanes: 4",
+            "lanes: 40",
+            "15: world.lanes: expected a whole number from 3 to 6, received 40; correct *",
+        ),
         ("overspeed: 1.1", "overspeed: 2.0", "15: world.speed_limit: expected at most 20.0 m/s, because *"),
         ("lane: 1, speed", "lane: 9, speed", "4: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
         (
@@ -259,29 +263,29 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
 
 
-OTHER_WORLD = "run in the world of the file, not of the test: world.lanes is 4 in the file, 5 now"
+OTHER_WORLD = "run in the file's world, not the test's: world.lanes is 4 in the file, 5 now"
 
 
 def test_replay_says_that_the_test_names_another_world(saved):
-    saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the world of*")
+    saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the file's world*")
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    assert f"Result of the replay: still failing: {OTHER_WORLD}" in " ".join(result.stdout.str().split())
+    assert f"Result of the replay: still failing ({OTHER_WORLD}" in " ".join(result.stdout.str().split())
     assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
     saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run(runs=0)
     assert OTHER_WORLD in " ".join(result.stdout.str().split())
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
 
 
 def test_replay_says_that_the_test_names_other_traffic(saved):
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
     shown = " ".join(saved.run(runs=0).stdout.str().split())
-    named = "paper in the file, everyday now"
-    assert f"still failing: run in the traffic of the file, not of the test: {named}" in shown
+    named = "paper instead of everyday"
+    assert f"still failing (run in the file's traffic, not the test's: {named}" in shown
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
-    assert "in the traffic of the file" not in saved.run(runs=0).stdout.str()
+    assert "in the file's traffic" not in saved.run(runs=0).stdout.str()
 
 
 CHANCE = """

@@ -81,7 +81,7 @@ def test_accepted_failure_is_shown_with_its_reason(saved, page):
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     result = failing.run("--pafot-report=report.html", "--pafot-save=none")
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["It is not saved: --pafot-save=none."])
+    result.stdout.fnmatch_lines(["It was not saved: --pafot-save=none."])
     assert failing.files == []
     _, (finding,), _ = read_page(page)
     assert finding.file == f"{finding.id}.pafot.yaml"

@@ -164,7 +164,7 @@ def test_record_with_impossible_world_is_reported_only(project):
     result = replayed(project)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
-        ["*note: a process (pid *) died while it ran * in a world that can no longer be built here*"]
+        ["*note: a process (pid *) died while it ran * in a world that can no longer be built*"]
     )
     assert (project.files, project.records) == ([], [])
 

@@ -261,7 +261,7 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
         rest, error = search.communicate(timeout=60)
     assert search.returncode == 130
     assert error == "\nsearch: interrupted\n"
-    assert ": interrupted." in " ".join(rest.split())
+    assert ", because it was interrupted." in " ".join(rest.split())
     assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes while the finding is drawn
     assert (here / "pafot.html").exists()
 
@@ -280,7 +280,7 @@ def test_session_of_a_search_that_is_killed_ends(here):
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
-    (["a_planner:Nobody"], "'a_planner:Nobody'. The module has Planner, make, idle, keeps_moving"),
+    (["a_planner:Nobody"], "'a_planner:Nobody'. The module defines Planner, make, idle"),
     (["a_planner.py:Planner"], ". Write a_planner:Planner"),
     (["broken:Planner"], "broken.py:1). Correct the module"),
     (["a_planner:Planner", "--check", "foo"],

@@ -155,7 +155,7 @@ def test_printed_fresh_base_seed_repeats_the_search(project):
     assert project.contents == first
 
 
-SHORT_SEARCH = "*note: 100 runs are a short search; use --pafot-runs=1000 for a longer one"
+SHORT_SEARCH = "*note: a search with 100 runs is short. Use --pafot-runs=1000 for a longer one"
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 

@@ -98,7 +98,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day has passed. "
+    told = f"{saved.files[0]}: the failure was accepted (planner issue 12, until 2027-01-31), but that day has passed. "
     assert warning.startswith(told)
 
 
@@ -107,7 +107,7 @@ def test_unreadable_file_is_recorded_with_the_reason(saved):
     saved.only_file.write_text("pafot: 99\n")
     (find,) = recorded(saved, runs=0).findings
     assert (find.id, find.file, find.status, find.result) == (saved.only_id, name, "error", "failed")
-    assert "expected the format version" in find.detail
+    assert "expected format version" in find.detail
 
 
 def test_search_that_cannot_start_is_recorded_with_reason(project):
@@ -244,8 +244,8 @@ def test_properties_of_a_marked_test_are_those_of_one_run(project):
 def test_folder_in_place_of_record_file_is_named(failing):
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")
-    told = "there is a folder with that name: rename or delete it, or name another file"
-    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
+    told = "rename or delete the folder that has this name, or name another file"
+    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: * ({told})"])
 
 
 @pytest.fixture
@@ -298,7 +298,7 @@ def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypat
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
     result = failing.run("--pafot-json=pafot.json")
     result.assert_outcomes(failed=2)
-    told = "not written: No such file or directory; create the folder that should contain it, or name another file"
+    told = "not written: No such file or directory (create the missing folder, or name another file)"
     result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 
@@ -318,7 +318,13 @@ def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay
         session.add(sighting("a", node_id="a", **seen), "t.py::t[search]")
         return session.seen["a"].unshrunk
 
-    assert left(unshrunk="not confirmed: out of time") == "not confirmed: out of time"
+    assert (
+        left(unshrunk="it was not confirmed, because the time ran out")
+        == "it was not confirmed, because the time ran out"
+    )
     assert left() == ""  # it was confirmed
-    assert left(unshrunk="not simplified: out of time") == "not simplified: out of time"
-    assert left(label="still failing") == "not simplified: out of time"
+    assert (
+        left(unshrunk="it was not simplified, because the time ran out")
+        == "it was not simplified, because the time ran out"
+    )
+    assert left(label="still failing") == "it was not simplified, because the time ran out"

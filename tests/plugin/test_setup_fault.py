@@ -107,8 +107,8 @@ class TestNothingThatWasFoundIsLost:
         assert {load(project.path / name).expect.failure for name in project.files} == {"ValueError"}
 
     @pytest.mark.parametrize(("later", "options", "told"), [
-        ("raise KeyboardInterrupt", {"no_reraise_ctrlc": True}, ["*pafot: found*", "*ended early*: interrupted."]),
-        ("pytest.exit('enough')", {"no_reraise_ctrlc": True}, ["*pafot: found*", "*ended early*: interrupted."]),
+        ("raise KeyboardInterrupt", {"no_reraise_ctrlc": True}, ["*found*", "*ended early*it was interrupted."]),
+        ("pytest.exit('enough')", {"no_reraise_ctrlc": True}, ["*found*", "*ended early*it was interrupted."]),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", {"apart": True}, []),
     ])  # fmt: skip
     def test_where_the_session_or_its_process_ends_meanwhile(self, project, later, options, told):
@@ -242,23 +242,23 @@ MESSAGES = {
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
     "world='builtins:print'": [
-        "the factory 'builtins:print' to return pafot.Highway(*, received None; return a world, such as pafot.World("
+        "the factory 'builtins:print' to return pafot.Highway(*, received None. Return a world, such as pafot.World("
     ],
     "world='operator:neg'": [
-        "which raises TypeError: * takes exactly one argument (0 given); add its argument to the string, as in *"
+        "which raises TypeError: * takes exactly one argument (0 given)*. Add its argument to the string, as in *"
     ],
-    "world=pafot.Highway": ["; call it: Highway(...)"],
+    "world=pafot.Highway": [". Call it: Highway(...)"],
     "world=Road()": [
         "expected pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...), received *Road object at *",
-        "; derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld",
+        ". Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld",
     ],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
     "world=gymnasium.make('CartPole-v1')": [
-        "; derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
+        ". Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
     ],
-    "worlds=five": ["(worlds=...): did you mean 'world'? Expected one of ads, against, *, received 'worlds'"],
+    "worlds=five": ["(worlds=...): expected one of ads, against, *, received 'worlds'; did you mean 'world'?"],
 }
 
 
@@ -284,7 +284,7 @@ def test_first_generation_error_counts_only_judged_runs():
     bench = SimpleNamespace(run=lambda scenario: run, finish=lambda run: broken)
     cause, state = cause_of(run, broken), State(first=object())
     state.counts += Counts(kinds=Counter(npc=1, failed=2, invalid=1), causes=Counter({cause: 2}))
-    with pytest.raises(SetupFaultError, match="all 2 evaluated runs of the first generation ended in"):
+    with pytest.raises(SetupFaultError, match="all 2 evaluated runs of the first generation ended with"):
         check_set_up(state, bench, " of the first generation")
 
 

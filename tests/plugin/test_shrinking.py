@@ -90,7 +90,7 @@ def test_report_shows_shrunk_run_and_both_sizes(collides):
         [
             f"run = <Run collision after *, scenario {finding.scenario.id}>",
             "It was simplified from 2 NPCs, 4 instructions* to 1 NPC, *",
-            "  It took * s: * run* and * to simplify failures; *",
+            "  It took * s for * run*, * run* to simplify failures and *",
         ]
     )
 
@@ -117,15 +117,17 @@ def test_interrupted(run):
 
 
 @pytest.mark.parametrize(("save", "how"), [
-    ("new", "delete the new files and search again with --pafot-seed=2"), ("none", "search again with --pafot-seed=2"),
+    ("new", "Delete the new files, and search again with --pafot-seed=2"), ("none", "Search again with --pafot-seed=2"),
 ])  # fmt: skip
 @pytest.mark.parametrize("limit", [2, 4])
 def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace("# stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
-    told = f"  note: the search ended before 1 new finding was simplified: {how}"
-    result.stdout.fnmatch_lines(["pafot: found a failed *test_interrupted*", "  It ended early, *: interrupted.", told])
+    told = f"  note: the search ended before 1 new finding was simplified. {how}"
+    result.stdout.fnmatch_lines(
+        ["pafot: found a failed *test_interrupted*", "  It ended early, *, because it was interrupted.", told]
+    )
     result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
         result.stdout.fnmatch_lines([f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"])
@@ -150,7 +152,7 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     result = run(project, "--pafot-json=out.json", "--pafot-report=page.html")
     result.assert_outcomes(failed=2)
-    told = "not simplified: out of time"
+    told = "it was not simplified, because the time ran out"
     result.stdout.fnmatch_lines([f"{capitalised(told)}."])
     (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
     assert finding["unshrunk"] == told
@@ -167,7 +169,7 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
         result = project.run_once("--pafot-json=out.json", *options, runs=2)
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
         asked = [search["decisions"][what] for what in ("search", "confirm", "shrink", "moment")]
-        return asked[0], sum(asked[1:]), project.contents, "*note: simplifying stopped at its limit;*", result
+        return asked[0], sum(asked[1:]), project.contents, "*note: simplifying stopped at its limit.*", result
 
     first, refining, files, note, result = session()
     assert 0 < refining <= max(first, 300) + 300  # and what confirms the finding, before its simplification
@@ -236,7 +238,7 @@ def test_brakes(run):
     result = run(project)
     result.stdout.fnmatch_lines([
         "Flaky: running it again gave a different run: speed of the ego differs by 0.2 m/s after 0.0667 s; the policy "
-        "had decided differently; fails in 5 of 10 runs.",
+        "had decided differently; it fails in 5 of 10 runs.",
         "The policy probably has its own random generator. Seed it in the factory of the policy, or * predict(..., "
         "deterministic=True)).",
         "  hardest-brake-*: 1 run (new, flaky).",

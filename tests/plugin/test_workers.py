@@ -136,7 +136,8 @@ def test_an_ads_that_raises_is_the_same_finding(dear):
 
 @pytest.mark.parametrize(("drive", "test", "message"), [
     ("keep if not in_worker() else 1 / 0", MANY, None),
-    ("keep", MANY.replace("npcs=2", "fitness=lambda trace: 'high'"), "*fitness: expected*number, but received 'high'*"),
+    ("keep", MANY.replace("npcs=2", "fitness=lambda trace: 'high'"),
+     "*fitness: expected*number, but it returned 'high'*"),
 ], ids=["factory", "fitness"])  # fmt: skip
 def test_errors_outside_the_ads_are_as_without_workers(dear, drive, test, message):
     project = dear(drive, test=test)

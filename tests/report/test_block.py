@@ -23,12 +23,14 @@ from tests.helpers.tables import table
 
 FACT = "NPC 0 moved into lane 1 at 2.1 s, 2.8 m ahead of the ego."
 DEED = "The ego kept 20.0 m/s and did not brake after 2.1 s."
-VERDICT = "The ego is responsible. A careful driver could avoid it by taking over 1.25 s before the impact or earlier."
+VERDICT = (
+    "The ego is responsible. A careful driver who took over at least 1.25 s before the impact would have avoided it."
+)
 HEADLINE = "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s"
 ROWS = (("", ("line 7: gap < 5  (gap = 6.8) -> False", "line 9: lane == 1 -> True")),)
 MOMENT = Moment(
     time=4.2, npc=0, seen="6.7 m ahead", action="acceleration 0.2 m/s^2", hidden="",
-    otherwise="4 m nearer acceleration -6.0 m/s^2", conditions=ROWS,
+    otherwise="4 m nearer: acceleration -6.0 m/s^2", conditions=ROWS,
 )  # fmt: skip
 HIT, HARDER = (Severity(kind="collision", value=speed, unit="m/s") for speed in (8.2, 11.4))
 AGAIN = "pytest corpus/a.pafot.yaml"
@@ -59,12 +61,12 @@ def test_a_block_reads_so():
         "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s.",
         FACT,
         DEED,
-        "The ego is responsible. A careful driver could avoid it by taking over 1.25 s",
-        "  before the impact or earlier.",
-        "At 4.2 s the policy saw NPC 0 6.7 m ahead, and chose acceleration 0.2 m/s^2;",
-        "  with NPC 0 4 m nearer acceleration -6.0 m/s^2.",
+        "The ego is responsible. A careful driver who took over at least 1.25 s before",
+        "  the impact would have avoided it.",
+        "At 4.2 s, the policy saw NPC 0 (6.7 m ahead) and chose acceleration 0.2 m/s^2;",
+        "  with NPC 0 4 m nearer: acceleration -6.0 m/s^2.",
         "  line 7: gap < 5  (gap = 6.8) -> False",
-        "31 of 40 runs failed in the same way; the worst, number 28, hits at 11.4 m/s.",
+        "31 of 40 runs failed in the same way. The worst, run 28, hits at 11.4 m/s.",
         f"replay {AGAIN}",
     ]
 
@@ -90,8 +92,8 @@ def test_a_block_that_would_be_too_long_leaves_out_what_is_less_important(count)
 
 
 def test_what_a_replay_was_stays_longest():
-    text, lines = block(sentences=(FACT, DEED, " ".join([LONG] * 5)), label="drifted", detail="numpy 1 then, 2 now")
-    assert "Result of the replay: drifted: numpy 1 then, 2 now." in text
+    text, lines = block(sentences=(FACT, DEED, " ".join([LONG] * 5)), label="drifted", detail="numpy 2 instead of 1")
+    assert "Result of the replay: drifted (numpy 2 instead of 1)." in text
     assert "did not brake" not in text
     assert lines <= ROOM
     assert "Result of the replay: still failing." in block(label="still failing")[0]
@@ -104,7 +106,7 @@ def test_a_whole_block_has_all_that_is_known():
     text, lines = block(**more, beyond="crash", expect={"against": "idm"})
     for part in (
         FACT, DEED, VERDICT, "with NPC 0 hidden, it chose the same", "line 7", "line 9", "x" * 100, "accepted",
-        "It was simplified from 2 NPCs", "The reference idm passes this scenario.", "failure is `crash`",
+        "It was simplified from 2 NPCs", "The reference idm passes this scenario.", "failure differs: crash",
         "no generator",
     ):  # fmt: skip
         assert part in text, part
@@ -114,21 +116,21 @@ def test_a_whole_block_has_all_that_is_known():
 def test_of_what_is_not_saved_the_block_has_the_file_and_no_command():
     lost = seen(path="", detail="read-only file system")
     lines = block_lines(lost, "")
-    begin = lines.index("The file would be:")
-    assert lines[begin - 1] == "It is not saved: read-only file system."
+    begin = lines.index("The file would contain:")
+    assert lines[begin - 1] == "It was not saved: read-only file system."
     assert lines[begin + 1 :] == [f"  {line}" for line in text_of(lost.finding).rstrip().splitlines()]
     asked, _ = block(path="", detail="--pafot-save=none", again="")
-    assert "It is not saved: --pafot-save=none." in asked
-    assert "The file would be" not in asked
+    assert "It was not saved: --pafot-save=none." in asked
+    assert "The file would contain" not in asked
     assert "The saved file could not be updated: no room." in block(detail="could not be updated: no room")[0]
 
 
 def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
     accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
     text, lines = block(finding=accepted, label="still failing", beyond="NPC 1 hit the ego from behind")
-    told = "The failure is not accepted: the line `xfail:` of corpus/a.pafot.yaml accepts "
+    told = "The failure is not accepted: the line `xfail:` in corpus/a.pafot.yaml accepts "
     accepted_one = "The ego's front hit NPC 0 after 12.4 s"
-    assert f"{told}`{accepted_one}`, but this failure is `NPC 1 hit the ego from behind`. " in text
+    assert f"{told}`{accepted_one}`, but this failure differs: NPC 1 hit the ego from behind. " in text
     assert lines <= ROOM
     assert "not accepted" not in block(finding=accepted, label="accepted")[0]
 
@@ -147,7 +149,7 @@ def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
 
 
 def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
-    assert "31 of 40 runs failed in the same way; the worst, number 28, hits at 11.4 m/s." in block(runs=40)[0]
+    assert "31 of 40 runs failed in the same way. The worst, run 28, hits at 11.4 m/s." in block(runs=40)[0]
     assert "in the same way" not in block(runs=1, alike=Alike())[0]
     assert "No other run failed in the same way. replay" in block(runs=9, alike=Alike())[0]
     assert "31 of 40 runs failed in the same way. replay" in block(runs=40, severity=HARDER)[0]

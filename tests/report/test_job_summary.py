@@ -86,7 +86,7 @@ def test_long_lists_are_cut():
     lines = told(*fixed).splitlines()
     assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
     assert lines[-1] == "- ... and 5 more: see `python -m pytest_pafot corpus list`"
-    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} passes (not found again)"
+    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} passed (not found again)"
 
 
 def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted(snapshot):

@@ -43,8 +43,8 @@ def test_findings_of_each_test_are_together_under_its_name_the_worst_test_first(
 def test_facts_include_replay_labels_and_versions():
     replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
     facts = dict(session_facts([], replays))
-    assert facts["replayed"] == "3 saved scenarios: 2 passes (not found again), 1 still failing"
-    assert facts["passes (not found again)"] == "t[t2]: no such failure in 40 runs"
+    assert facts["replayed"] == "3 saved scenarios: 2 passed (not found again), 1 still failing"
+    assert facts["passed (not found again)"] == "t[t2]: no such failure in 40 runs"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
 

@@ -51,7 +51,7 @@ SEARCH = Search(
     warnings=(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
-    notes=("stopped by --pafot-max-time: the same seed may find other scenarios next time",),
+    notes=("stopped by --pafot-max-time, so the same seed may find other failures next time",),
 )
 
 
@@ -137,16 +137,16 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
     assert "48 runs (2 invalid, 1 rejected and 1 skipped)" in " ".join(short)
     assert "  5 of these runs had no interaction." in whole
     assert "  NPCs reached 63 % of their goals." in whole
-    assert "  Algorithm pafot, seed 4154884243, derived from --pafot-seed=3." in whole
+    assert "  Algorithm: pafot, with seed 4154884243 from --pafot-seed=3." in whole
     assert not {"interaction.", "reached", "Algorithm"} & {word for line in short for word in line.split()}
 
 
 def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
     search = replace(SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4))
     lines = terminal.search_lines(search)
-    assert "1 skipped) and 7 to simplify failures; 12,280 decisions." in " ".join(map(str.strip, lines))
+    assert "1 skipped), 7 runs to simplify failures and 12,280 decisions." in " ".join(map(str.strip, lines))
     cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
-    assert f"  It ended early, after 48 of 100 runs: {Ending.INTERRUPTED}." in terminal.search_lines(cut)
+    assert "  It ended early, after 48 of 100 runs, because it was interrupted." in terminal.search_lines(cut)
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
@@ -162,7 +162,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
         seen=[
             sighting("saved-a", label="fixed"),
             sighting("saved-b", label="still failing"),
-            sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
+            sighting("saved-c", label="drifted", detail="numpy 2 instead of 1"),
         ],
         left=["corpus/x.pafot.yaml", "corpus/y.pafot.yaml"],
         problems=["a fault in the page"],
@@ -216,7 +216,7 @@ def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, field
 @table(("flags", "remark"), [
     ({}, ""),
     ({"flaky": NOT_REPEATED}, "flaky: running it again gave a different run"),
-    ({"expect": replace(FIND.finding.expect, outcome=Outcome.HANG)}, "depends on wall-clock time"),
+    ({"expect": replace(FIND.finding.expect, outcome=Outcome.HANG)}, "the result depends on wall-clock time"),
 ])  # fmt: skip
 def test_finding_has_remark_when_reader_needs_it(flags, remark):
     assert sighting(headline="c", finding=flags).remark == remark

@@ -70,7 +70,7 @@ def test_a_finding_that_draws_repeats_at_its_seed_and_says_in_how_many_others_it
     assert finding.flaky is None
     assert finding.rate.runs == 10
     assert 3 <= finding.rate.failing <= 9
-    assert told.finding.on_rate == f"fails in {finding.rate.failing} of 10 other seeds"
+    assert told.finding.on_rate == f"it fails with {finding.rate.failing} of 10 other seeds"
     assert told.finding.on_rate in told.remark
     assert len(finding.scenario.npcs) == 1
 
@@ -84,7 +84,7 @@ def test_a_policy_that_draws_nothing_has_no_rate(tmp_path):
 
 def test_a_finding_that_does_not_repeat_has_a_rate_too_but_is_not_shrunk(tmp_path):
     told = found(Unrepeatable, tmp_path)
-    assert told.finding.on_rate == f"fails in {told.finding.rate.failing} of 10 runs"
+    assert told.finding.on_rate == f"it fails in {told.finding.rate.failing} of 10 runs"
     assert 3 <= told.finding.rate.failing <= 9
     assert told.finding.shrunk is None
 

@@ -43,7 +43,9 @@ def test_search_finds_collisions_from_several_sides(found):
     ids = [each.id for each in found.findings]
     assert len({each.expect.zone for each in found.findings} - {None}) > 1
     assert any(each.startswith("did-not-give-way-left-") for each in ids)
-    assert found.summary.drawn.startswith("1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic (NPCs")
+    assert found.summary.drawn.startswith(
+        "1 to 3 NPCs with PositionInstructions or LaneInstructions in hostile traffic (NPCs"
+    )
     assert found.summary.notes == ()
 
 

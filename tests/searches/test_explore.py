@@ -232,7 +232,7 @@ def burning(monkeypatch):
 
 
 BURNS = (
-    "runs do not call the environment's own `_reward`, which may change `fuel`; if a run needs that, write wrappers=[] "
+    "runs do not call the environment's own `_reward`, which may change `fuel`. If a run needs that, write wrappers=[] "
     "in the pafot.World"
 )
 
@@ -310,7 +310,7 @@ def test_a_failing_ads_is_avoided_by_no_takeover():
 
 
 @table(("arguments", "message"), [
-    ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
+    ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): expected one of .*; did you mean 'generations'"),
     ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
     ({"generations": 0},
      r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
@@ -318,7 +318,7 @@ def test_a_failing_ads_is_avoided_by_no_takeover():
      r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
     ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
     ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected one of any, ego, received 'preventable'\. blame='ego'"),
-    ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway\(\.\.\.\), .*, received 3; derive"),
+    ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway\(\.\.\.\), .*, received 3\. Derive"),
     ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
     ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
 ])  # fmt: skip
@@ -409,7 +409,7 @@ def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
 
 def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_path, monkeypatch):
     def refuse(path, finding):
-        raise CorpusWriteError(path, "Read-only file system", "mount it")
+        raise CorpusWriteError(path, "to save a finding", "a read-only file system", "mount it")
 
     monkeypatch.setattr("pytest_pafot.searches.store.rewrite", refuse)
     found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)

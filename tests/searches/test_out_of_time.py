@@ -194,17 +194,17 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
 
 def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
-    assert set(unshrunk(result)) == {"not simplified: out of time"}
+    assert set(unshrunk(result)) == {"it was not simplified, because the time ran out"}
     assert any("ended the search before" in note and note.endswith(" and more time") for note in result.summary.notes)
 
 
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=50, shrink_runs=300)
-    assert set(unshrunk(result)) == {"simplified in part: out of time"}
+    assert set(unshrunk(result)) == {"it was only partly simplified, because the time ran out"}
     assert all(finding.shrunk.before for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
     last_told = {event.id: event for event in result.events if isinstance(event, Seen)}
-    assert all(find.unshrunk and "out of time" in find.remark for find in last_told.values())
+    assert all(find.unshrunk and "the time ran out" in find.remark for find in last_told.values())
 
 
 def test_without_a_limit_no_clock_decides_anything(clock, tmp_path):
@@ -247,7 +247,7 @@ def confirming(monkeypatch):
 
 def test_finding_without_time_to_confirm_is_saved_and_says_so(clock, tmp_path, confirming):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=2)
-    assert set(unshrunk(result)) == {"not confirmed: out of time"}
+    assert set(unshrunk(result)) == {"it was not confirmed, because the time ran out"}
     assert len(files(tmp_path / "corpus")) == len(result.findings) == len(confirming) > 0
 
 
@@ -282,7 +282,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
         monkeypatch.setattr(f"pytest_pafot.searches.{module}.runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 174, "shrink_runs": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
-    assert unshrunk(result) == ["simplified in part: out of time"]
+    assert unshrunk(result) == ["it was only partly simplified, because the time ran out"]
     assert result.findings[0].shrunk.before
     assert clock.now <= 176
 
@@ -305,7 +305,7 @@ def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
     clock.now = 0.0
     result = searched(clock, cut_later, runs=20, max_time=1e6, shrink_runs=300)
     assert [finding.id for finding in result.findings] == [finding.id for finding in whole.findings]
-    assert all(find.unshrunk.endswith("out of time") for find in result.summary.finds[1:])
+    assert all(find.unshrunk.endswith("the time ran out") for find in result.summary.finds[1:])
     assert len(files(tmp_path / "corpus")) == 3
 
 

@@ -85,7 +85,7 @@ def test_most_npcs_cross_where_ways_meet():
     drawn = space_of(world)
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
     assert drawn.described.startswith(
-        "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic "
+        "1 to 3 NPCs with PositionInstructions or LaneInstructions in hostile traffic "
         "(NPCs may stop, brake hard and cut in close), most of them on paths that cross the ego's path in 6 zones"
     )
     assert space_of(world, npcs=3).most_npcs == ()
@@ -167,11 +167,11 @@ def a_simulator():
 
 @pytest.mark.parametrize("name", ["Still", "a_simulator"])
 def test_a_simulator_is_no_world_yet(name):
-    with pytest.raises(RequestError, match=r"to return pafot.*, received .*; write pafot\.SimulatorWorld\(Still\)$"):
+    with pytest.raises(RequestError, match=r"to return pafot.*, received .*\. Write pafot\.SimulatorWorld\(Still\)$"):
         named_world(f"{__name__}:{name}", "--world")
 
 
 def test_factory_of_a_world_that_returns_its_class_is_refused():
-    message = r"to return pafot\.Highway\(\.\.\.\), .*, received <class '.*Highway'>; call it: Highway\(\.\.\.\)"
+    message = r"to return pafot\.Highway\(\.\.\.\), .*, received <class '.*Highway'>\. Call it: Highway\(\.\.\.\)"
     with pytest.raises(RequestError, match=message):
         named_world(f"{__name__}:a_class", "--world")

@@ -10,9 +10,9 @@ from tests.helpers.tables import table
 
 
 @table("folder, argument, message", [
-    (".", "a\0b", r"received 'a\\x00b' \(embedded null .*\)\. Rename it"),
-    ("c\0d", "a", r"received 'c\\x00d' \(embedded null .*\)\. Rename it"),
-    (".", "e\ud800", r"received 'e\\ud800' \(.*surrogates not allowed\)\. Rename it"),
+    (".", "a\0b", r"received 'a\\x00b' \(embedded null .*\)\. Use another name"),
+    ("c\0d", "a", r"received 'c\\x00d' \(embedded null .*\)\. Use another name"),
+    (".", "e\ud800", r"received 'e\\ud800' \(.*surrogates not allowed\)\. Use another name"),
 ])  # fmt: skip
 def test_a_text_that_no_command_line_can_have_is_named(folder, argument, message):
     with pytest.raises(RequestError, match=message):

@@ -77,7 +77,7 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
     with raises("limits.heading: expected a number from 0.01 to 0.785398, so that no NPC drives sideways, received 1"):
         NpcLimits(heading=1)
     with raises(
-        "limits.overspeed: expected a number from 1 to 8, so that NPCs can reach target speeds up to the limit"
+        "limits.overspeed: expected a number from 1 to 8, so that NPCs can reach target speeds up to the speed limit"
     ):
         NpcLimits(overspeed=0.9)
     with raises("speed_limit: expected at most 20.0 m/s, because NPCs can reach 2 times the limit"):

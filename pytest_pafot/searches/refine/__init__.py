@@ -1,1 +1,1 @@
-"""The work on findings after a search: shrinking, confirmation and examination."""
+"""The work on findings after a search's runs: shrinking, confirmation and examination."""

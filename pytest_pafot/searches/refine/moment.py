@@ -59,7 +59,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 
 
 def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Return a finding with the last decision that could have avoided the failure."""
+    """Add to a finding the last decision that could have avoided the failure."""
     harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
     # Nothing can be hidden from a vehicle class, which reads the road itself, or from a policy with the environment.
     if run is None or not harness.policy.only_observes:
@@ -87,7 +87,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 
 
 def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Return a finding with the conditions that the policy's code evaluates at its moment."""
+    """Add to a finding the conditions that the policy's code evaluates in the decision of its ``moment``."""
     harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
@@ -144,7 +144,7 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
     furthest = next(each for each in reversed(changes) if each[0].endswith("further away"))
     if not said and moment.hidden:
         return "hidden", None
-    return next((each for each in changes if each[0] and said.startswith(f"{each[0]} ")), furthest)
+    return next((each for each in changes if each[0] and said.startswith(f"{each[0]}: ")), furthest)
 
 
 def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
@@ -235,7 +235,7 @@ def _moment_of(
             hidden = text_of(answer, action) if differ(action, answer) else ""
             otherwise = "" if is_planner else None
         elif _is_other(action, answer):
-            otherwise = f"{words} {text_of(answer, action)}"
+            otherwise = f"{words}: {text_of(answer, action)}"
             break
     return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
 
@@ -282,7 +282,7 @@ def _changes(seen: Observation, npc: int) -> list[Change]:
 
 
 def text_of(action: Any, other: Any = None) -> str:
-    """Describe an action, for a planner only the parts that differ from another action or the defaults."""
+    """Describe an action. For a planner, describe only the parts that differ from ``other`` or the defaults."""
     if action is None:
         return "no decision"
     if not is_planners(action):

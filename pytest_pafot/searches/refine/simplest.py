@@ -1,4 +1,4 @@
-"""The simplest scenario that shows the failure of a finding."""
+"""The simplest scenario that reproduces a finding's failure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 def showing(
     sighting: Seen, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
 ) -> Refining[Run | None]:
-    """Run a scenario, and return the run if it shows the failure within ``most`` decisions."""
+    """Run a scenario, and return the run if it reproduces the failure within ``most`` decisions."""
     __tracebackhide__ = True
     if scenario in state.fatal:
         return None
@@ -51,7 +51,7 @@ def showing(
 
 
 def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench) -> bool:
-    """Return whether a run shows the failure of a finding, with the same fault and responsibility."""
+    """Return whether a run reproduces a finding's failure, with the same fault and responsibility."""
     shown = bench.examiner.signature_of(run, verdict)
     if shown is None or not is_same(shown, found_as(sighting, state)):
         return False
@@ -59,7 +59,7 @@ def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench
 
 
 def found_as(sighting: Seen, state: State) -> Signature:
-    """Return the signature of a finding before shrinking."""
+    """Return the signature that a finding had before shrinking."""
     return next(signature for signature, id_ in state.finds.items() if id_ == sighting.id)
 
 
@@ -75,7 +75,7 @@ def without_unreached_genes(run: Run) -> Scenario:
 
 
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
-    """Announce the next scenarios to other processes, which run them in advance."""
+    """Announce the next scenarios to other processes, which can run them in advance."""
     if bench.harness.request.settings.workers < 2:
         return
     fitting = list[Scenario]()
@@ -96,7 +96,7 @@ def check_limits(bench: Bench) -> None:
 
 
 def failure_rate(sighting: Seen, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
-    """Measure how often the policy fails in a scenario, with other seeds unless the finding is flaky."""
+    """Measure how often the policy fails in a scenario, with different seeds unless the finding is flaky."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0
     for number in range(1, RUNS + 1):
@@ -123,7 +123,7 @@ RUNS_TO_CONCLUDE = 3
 
 @dataclass(slots=True, kw_only=True)
 class Turn:
-    """The time and the decisions that are available to shrink one finding."""
+    """The time and the number of decisions that are available to shrink one finding."""
 
     end: float  # time at which the turn ends [s], or infinity
     most: float  # number of decisions, for all work on findings so far, at which the turn ends
@@ -145,7 +145,7 @@ class Turn:
             raise OutOfBudget
 
     def took(self, seconds: float, confirming: float | None) -> None:
-        """Record the time of an attempt [s]."""
+        """Record the duration [s] of an attempt and, if it succeeded, of confirming it."""
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -156,7 +156,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simplest:
-    """The simplest scenario that shows the failure of a finding."""
+    """The simplest scenario that reproduces a finding's failure."""
 
     scenario: Scenario  # the scenario as executed
     shrunk: Shrunk  # statistics of shrinking
@@ -168,7 +168,7 @@ class Simplest:
 def simplest_of(
     sighting: Seen, original: Scenario, state: State, bench: Bench, store: Store, turn: Turn
 ) -> Refining[Simplest]:
-    """Shrink the scenario of a finding within the limits of its turn."""
+    """Shrink a finding's scenario within the limits of its turn."""
     __tracebackhide__ = True
     harness, space, id_ = bench.harness, state.space, sighting.id
     rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
@@ -278,7 +278,7 @@ def _likely(
 
 
 def rollouts_for(harness: Harness) -> int:
-    """Return the largest number of runs to shrink one finding."""
+    """Return the largest number of runs that may be used to shrink one finding."""
     given = harness.request.settings.shrink_runs
     if given is not None:
         return given
@@ -286,7 +286,7 @@ def rollouts_for(harness: Harness) -> int:
 
 
 def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
-    """Return the ego's lane and speed [m/s] at the start of each gene of a run, if the road is straight."""
+    """Return the ego's lane and speed [m/s] at the start of each gene in a run, if the road is straight."""
     trace = run.trace
     begins = slice(None, trace.ticks, round(run.scenario.gene_seconds * trace.physics_hz))
     speeds, lanes = trace.ego[begins, SPEED], trace.road.numbers(0)[begins]

@@ -1,6 +1,6 @@
-"""The work on the findings of a search after its last run.
+"""The work on a search's findings after its last run.
 
-Each finding is already saved and reported. Each step replaces the file and the report.
+Each finding has already been saved and reported. Each step updates the file and the report.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
         if is_done:
             done.add(id_)
         else:
-            sighting, why = store.findings[id_], "out of decisions" if bench.is_at_limit else "out of time"
-            cut = f"not simplified: {why}" if sighting.finding.shrunk is None else f"simplified in part: {why}"
+            sighting, why = store.findings[id_], "its limit was reached" if bench.is_at_limit else "the time ran out"
+            cut = f"it was {'not' if sighting.finding.shrunk is None else 'only partly'} simplified, because {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
     return done
@@ -160,12 +160,13 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
         except OutOfBudget:  # the summary reports it
             return
         except OutOfTime:
-            yield Note(f"{about} of saved-{sighting.id} not examined: out of time")
+            yield Note(f"the {about} of saved-{sighting.id} were not examined, because the time ran out")
             return
         except Exception as error:
             if is_interruption(error):
                 raise
-            yield Note(f"{about} of saved-{sighting.id} not examined: {type(error).__name__}: {one_line(str(error))}")
+            why = one_line(f"{type(error).__name__}: {error}")
+            yield Note(f"the {about} of saved-{sighting.id} were not examined: {why}")
             return
 
 
@@ -182,7 +183,7 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     try:
         takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
     except DriverError as error:  # the world cannot simulate the driver
-        yield Note(f"{error}; findings do not state what this driver would have done")
+        yield Note(f"{error}. Findings do not state what this driver would have done")
     # The file now describes the simplest scenario. Only its id and its origin are those of the first run.
     finding = replace(
         before,

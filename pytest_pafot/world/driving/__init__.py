@@ -1,1 +1,1 @@
-"""Policies and their perception, and the drivers and vehicles that need highway-env's code."""
+"""Policies, their perception, and the drivers and vehicles that need highway-env's code."""

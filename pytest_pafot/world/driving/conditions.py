@@ -1,7 +1,7 @@
-"""The conditions that a policy evaluates in one decision, with their values, if the policy's source is available.
+"""The conditions that a policy evaluates in one decision, with their values, if the policy's source can be read.
 
-For this decision, the user's functions run copies of their code, compiled from the same source, which pass each
-condition to a recorder. So nothing is evaluated twice, and the recorder sees the values that the policy used.
+During this decision, the user's functions run modified copies of their code, which pass each condition to a recorder.
+So nothing is evaluated twice, and the recorder sees the values that the policy used.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ class Evaluation(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluated:
-    """A condition that was evaluated in a decision."""
+    """A condition that was evaluated in a decision, with its evaluations."""
 
     condition: str  # file, line and text
     last: Evaluation  # the last evaluation with the rarest outcome
     first: tuple[Evaluation, ...] = ()
 
     def row(self, evaluation: Evaluation) -> str:
-        """Describe an evaluation in one line."""
+        """Describe an evaluation of the condition in one line."""
         place, _, text = self.condition.partition(": ")
         told = [  # values that repeat the condition or its outcome are omitted
             f"{name} = {value}"
@@ -76,9 +76,9 @@ class Evaluated:
 
 
 def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
-    """Return the numbers of the evaluations that have other values or another outcome in another decision.
+    """Return the numbers of the evaluations with different values or a different outcome in another decision.
 
-    The comparison stops where the other decision evaluates another condition.
+    The comparison stops where the two decisions evaluate different conditions.
     """
     here, there = (
         sorted((first, each.condition) for each in conditions for first in each.first)
@@ -94,11 +94,11 @@ def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated
 
 
 Whom = Mapping[int, tuple[int, ...]]
-"""The NPCs on which each evaluation depends, by the number of the evaluation."""
+"""The indices of the NPCs on which each evaluation depends, by the evaluation's number."""
 
 
 class Parted(NamedTuple):
-    """An evaluation that differs in another decision."""
+    """An evaluation with a different result in another decision."""
 
     evaluation: Evaluation
     ending: str  # added to its row
@@ -114,13 +114,13 @@ def parting(
     npc: int | None = None,
     whom: Whom = MappingProxyType({}),
 ) -> dict[str, Parted]:
-    """Return the evaluations that differ in another decision, by condition.
+    """Return the evaluations that differ between two decisions, by condition.
 
     Args:
-        evaluated, others: the conditions of both decisions, the last one first.
-        when: what is different in the other decision, in words.
-        is_other: whether the other decision has another action.
-        npc: the NPC with another position in the other decision, or None.
+        evaluated, others: the conditions of both decisions, with the last condition first.
+        when: a phrase that describes the difference of the other decision.
+        is_other: whether the other decision has a different action.
+        npc: the NPC with a different position in the other decision, or None.
         whom: the NPCs on which the evaluations depend.
     """
     otherwise = {each.condition: each.first for each in others}
@@ -142,7 +142,7 @@ def parting(
 # the subject of rows with values that depend on no NPC; their outcomes may still follow from conditions on an NPC
 NOBODY = "no NPC or an unknown NPC"
 Groups = tuple[tuple[str, tuple[str, ...]], ...]
-"""Rows of conditions by subject: ``NPC 1``, :data:`NOBODY`, or an empty string for all."""
+"""Rows of conditions by subject. The subject is ``NPC 1``, for example, :data:`NOBODY`, or an empty string for all."""
 
 
 def shown(
@@ -152,10 +152,10 @@ def shown(
     npc: int | None = None,
     whom: Whom | None = None,
 ) -> Groups:
-    """Return the rows of the conditions of a decision.
+    """Return the rows that describe a decision's conditions.
 
     Each condition has one row, or two if the NPC's evaluation does not have the rarest outcome. The conditions in
-    ``first`` come first, as :func:`parting` returns them for the NPC.
+    ``first``, which :func:`parting` returned for the NPC, come first.
     """
     rows: dict[tuple[int, ...] | None, dict[str, str]] = {}
 
@@ -186,8 +186,8 @@ def _name(about: tuple[int, ...] | None) -> str:
 class Conditions:
     """The functions of a policy, each with a copy of its code that records conditions.
 
-    A function has no copy unless its source compiles to the code that it runs. So nothing is recorded if the file has
-    changed since its import, or if pytest rewrote the function because of an ``assert``.
+    A function has a copy only if its source compiles to the code that it runs. So nothing is recorded if the file has
+    changed since it was imported, or if pytest has rewritten the function because of an ``assert``.
     """
 
     def __init__(self, files: Iterable[Path], root: Path) -> None:
@@ -215,8 +215,8 @@ class Conditions:
     def recorded(self, ads: Any, evaluated: list[Evaluated]) -> Iterator[None]:
         """Record the conditions that this thread evaluates while an ADS decides.
 
-        Append them to ``evaluated``, the last one first. A running generator keeps its old code, so its
-        conditions are not recorded.
+        The conditions are appended to ``evaluated``, with the last condition first. A running generator keeps its old
+        code, so its conditions are not recorded.
         """
         before: list[tuple[FunctionType, CodeType]] = []
         try:
@@ -265,7 +265,7 @@ def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeTy
 
 
 class _Marking(ast.NodeTransformer):
-    """A transformer that replaces each condition of a file, and each value in it, by a call of the recorder."""
+    """A transformer that replaces each condition in a file, and each value in it, with a call to the recorder."""
 
     def __init__(self, place: str) -> None:
         self._place = place
@@ -292,7 +292,7 @@ class _Marking(ast.NodeTransformer):
 
 
 class _Values(ast.NodeTransformer):
-    """A transformer that replaces names, attributes, items and calls in a condition by calls of the recorder."""
+    """A transformer that replaces names, attributes, items and calls in a condition with calls to the recorder."""
 
     def __init__(self, marking: _Marking, condition: ast.Constant) -> None:
         self._marking, self._condition = marking, condition
@@ -310,7 +310,7 @@ def _called(method: str, place: Any, *arguments: Any) -> Any:
 
 
 class _Recorder:
-    """The object to which the copied code passes each value, and which returns the value."""
+    """The object that receives each value from the copied code, and returns the value."""
 
     def __init__(self) -> None:
         self.thread: int | None = None

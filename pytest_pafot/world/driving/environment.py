@@ -1,7 +1,7 @@
 """Drivers that use the actions, observations or vehicle classes of an environment.
 
-Compiled code makes the Kinematics observation, equal to the last bit. highway-env's own function takes milliseconds,
-which is longer than the rest of a run. highway-env makes all other observations.
+Compiled code creates the Kinematics observation, identical to highway-env's to the last bit. highway-env's own function
+takes milliseconds, which is longer than the rest of a run. highway-env creates all other observations.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from pytest_pafot.world.stock import AbstractLane, Road, RoadObject, Vehicle, cl
 
 
 def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
-    """Raise a :class:`WorldError` for an action space that is not for one vehicle.
+    """Raise a :class:`WorldError` if an action space does not control exactly one vehicle.
 
     ``wrappers`` are the names of the wrappers that define the space, if any.
     """
@@ -62,7 +62,7 @@ def checked_action(action: Any, space: Any) -> Any:
     """Convert an action to an int, or to a float array with the shape of the space.
 
     Raises:
-        BadAction: for another kind or shape. Numbers outside the bounds of a Box are accepted.
+        BadAction: if the type or shape does not match the space. Numbers outside the bounds of a Box are accepted.
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
@@ -100,7 +100,7 @@ def _hint_at_choice(array: Any, space: Any) -> str:
 
 
 def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
-    """Copy a road's fixed objects to a different road."""
+    """Return copies of fixed objects, placed on a different road."""
     copies = [copy.copy(each) for each in objects]
     for each in copies:
         each.road = road
@@ -108,10 +108,10 @@ def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
 
 
 class View:
-    """An environment that a planner can simulate in, with the state of the run but without the NPCs' plans.
+    """An environment in which a planner can simulate, with the state of the run but without the NPCs' plans.
 
-    Every NPC has the environment's own traffic class. Its desired speed is its current speed, because an observer
-    cannot know more.
+    Every NPC is an instance of the environment's traffic class, with its current speed as the desired speed, because an
+    observer cannot know more.
     """
 
     def __init__(self, env: Any, run_env: Any) -> None:
@@ -161,14 +161,14 @@ OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollis
 
 
 def observer(env: Any) -> Any:
-    """Return a function that makes an environment's observation, faster than the environment if possible."""
+    """Return a function that computes an environment's observation, faster than the environment itself if possible."""
     stock = env.observation_type
     network = compiled_network(env.road.network) if _is_fit(stock) else None
     return _slow(stock) if network is None else FastTable(env, stock, network)
 
 
 def observe_by(env: Any, observe: Callable[[], Any]) -> None:
-    """Replace the function that makes an environment's observation, also after resets."""
+    """Replace the function that computes an environment's observation, even after resets."""
 
     def define_spaces() -> None:
         type(env).define_spaces(env)
@@ -182,7 +182,7 @@ def hide(env: Any, npc: int) -> Callable[[], Any]:
     """Remove an NPC from an environment's observations, and return the new observation function.
 
     Raises:
-        WorldError: for an observation that is not computed from the vehicles on the road alone.
+        WorldError: if the observation does not depend only on the vehicles on the road.
     """
     kinds = [each.__name__ for each in type(env.observation_type).__mro__]
     if not {*kinds}.intersection(OF_THE_ROAD):
@@ -211,7 +211,7 @@ def _is_fit(stock: Any) -> bool:
 
 
 class FastTable:
-    """A faster function for the Kinematics observation, also with the distance to an exit.
+    """A faster function for the Kinematics observation, including the variant with the distance to an exit.
 
     It calls highway-env's own function if the class of the road or of a vehicle overrides a member that matters.
     """
@@ -225,7 +225,7 @@ class FastTable:
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
 
     def reads_poses_alone(self, traffic: Any) -> bool:
-        """Return whether observations contain only positions, headings and speeds of a traffic class."""
+        """Return whether observations show only the positions, headings and speeds of a traffic class's vehicles."""
         of_lanes = {"cos_d", "sin_d", "long_off", "lat_off", "ang_off"}
         return of_lanes.isdisjoint(self._stock.features) and _is_plain(traffic, Vehicle)
 
@@ -271,7 +271,7 @@ def _is_plain(kind: Any, base: Any) -> bool:
 
 
 class GuardedDriver(EgoDriver):
-    """A driver that decides with Python code, which a guard can interrupt."""
+    """A driver that makes decisions in Python code, which a guard can interrupt."""
 
     def __init__(self, ego: Body, every: int, guard: HangGuard) -> None:
         super().__init__(ego, every)
@@ -295,14 +295,14 @@ class GuardedDriver(EgoDriver):
         return None
 
     def make_decision(self, tick: int) -> Any:
-        """Decide, and return the action for the record, if any."""
+        """Make a decision, and return the action for the record, or None."""
         raise NotImplementedError
 
 
 class ObjectDriver(GuardedDriver):
-    """The driver of an ego that is a highway-env vehicle, which the code of its class moves.
+    """The driver of an ego that is moved by the code of a highway-env vehicle class.
 
-    By default the class also decides, at every tick. Call :meth:`show` before the run starts.
+    By default, the class also makes a decision at every tick. Call :meth:`show` before the run starts.
     """
 
     def __init__(
@@ -324,13 +324,13 @@ class ObjectDriver(GuardedDriver):
         self._tick = 0
 
     def show(self, places: Places, road: RoadOfGrid) -> None:
-        """Put the ego and the NPCs on highway-env's road."""
+        """Put the ego and the NPCs on a highway-env road."""
         self.traffic = Traffic(self._class, self.road, self.vehicle, places, road)
         if self._class.seen is StockVehicle or is_regulated(self.vehicle):
             foresee(self.traffic.vehicles, places, road)
 
     def show_all(self, *, is_lean: bool = False) -> None:
-        """Update the vehicles of highway-env to the state of the run, except the ego, which moves itself."""
+        """Update highway-env's vehicles, except the ego, which moves itself, to the state of the run."""
         if self.traffic is not None:
             self.traffic.show(is_lean=is_lean)
 
@@ -339,7 +339,7 @@ class ObjectDriver(GuardedDriver):
         self.vehicle.act()
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the vehicle with the code of its class, and return an error of this code or None.
+        """Move the vehicle with the code of its class, and return the error that the code raised, or None.
 
         Raises:
             Implausible: if the vehicle moves in an impossible way.
@@ -367,7 +367,7 @@ class ObjectDriver(GuardedDriver):
 
 
 class PolicyDriver(ObjectDriver):
-    """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
+    """A driver that passes an environment's observation to an ADS and applies the action that the ADS returns.
 
     The ADS may simulate ahead in the ``view``, which shows the state of the run before each decision.
     """
@@ -394,7 +394,7 @@ class PolicyDriver(ObjectDriver):
         return self._applied(self._ads(self.observe(tick)))
 
     def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
+        """Return the ADS's observation for the current tick."""
         env = self.env
         self.show_all(is_lean=self.reads_poses_alone)
         env.steps = tick
@@ -404,7 +404,7 @@ class PolicyDriver(ObjectDriver):
         return self._observe()
 
     def _applied(self, action: Any) -> Any:
-        """Check and apply an action, and return it for the record."""
+        """Check an action, apply it, and return it for the record."""
         checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)
         return checked
@@ -415,7 +415,7 @@ class PolicyDriver(ObjectDriver):
 
 
 class ModelPolicyDriver(PolicyDriver):
-    """A driver with an ego that the kernel moves as highway-env's vehicle classes would move it."""
+    """A driver for an ego that the kernel moves exactly as highway-env's vehicle classes would."""
 
     def __init__(
         self,
@@ -451,14 +451,14 @@ class ModelPolicyDriver(PolicyDriver):
 
 
 def body_of(vehicle: Any) -> Body:
-    """Return a body for the loop in the state of a highway-env vehicle."""
+    """Return a body for the loop, with the state of a highway-env vehicle."""
     body = Body(float(vehicle.LENGTH), float(vehicle.WIDTH))
     follow(body, vehicle)
     return body
 
 
 def follow(body: Body, vehicle: Any) -> None:
-    """Copy the state of a highway-env vehicle to a body of the loop.
+    """Copy the state of a highway-env vehicle to the loop's body.
 
     Raises:
         BadAction: if the state is not finite.
@@ -480,7 +480,7 @@ def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
 
 
 def prediction(body: Body, pose_at: Callable[[float], Pose]) -> Callable[[Any], tuple[list[Any], list[float]]]:
-    """Return a prediction for an NPC that continues along its path or lane at its speed."""
+    """Return a function that predicts an NPC's motion along its path or lane at its current speed."""
 
     def predicted(times: Any) -> tuple[list[Any], list[float]]:
         poses = [pose_at(body.x + body.speed * float(time)) for time in times]

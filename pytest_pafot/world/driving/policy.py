@@ -1,4 +1,4 @@
-"""Factories of ADSs, with the checks of their calls and of the ADSs that they return."""
+"""Factories of ADSs, with checks of the factories' calls and of the ADSs that they return."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ PREDICTING = "`lambda: lambda observation: model.predict(observation, determinis
 AdsFactory = Callable[..., Any]
 """A callable that returns a fresh ADS. It is called once per scenario.
 
-It can have these members. ``check_world(world)`` raises an error if its ADSs cannot drive in the world. ``preload()``
-loads data that forked processes share. ``loading_hint`` is a string that a search reports as a note."""
+The callable can have these members: ``check_world(world)`` raises an error if its ADSs cannot drive in the world.
+``preload()`` loads data that forked processes share. ``loading_hint`` is a string that the search reports as a note.
+"""
 
 
 def is_vehicle_class(candidate: object) -> bool:
-    """Return whether an object is a highway-env vehicle class, or a ``functools.partial`` of one."""
+    """Return whether an object is a highway-env vehicle class or a ``functools.partial`` of a vehicle class."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
     kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # imported wherever a vehicle class exists
     return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
 
 
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
-    """Make a fresh ADS, or return a vehicle class unchanged.
+    """Create a fresh ADS, or return a vehicle class unchanged.
 
     Raises:
         AdsFactoryError: if the factory cannot be called with these arguments, or returns no ADS.
@@ -123,7 +124,7 @@ def hint_at_object(given: Any) -> str:
 
 
 def takes_nothing(factory: AdsFactory) -> bool:
-    """Return whether a factory is a plain function without parameters."""
+    """Return whether a factory is an ordinary function without parameters."""
     if type(factory) is not FunctionType or factory.__dict__:  # much faster than the signature
         return False
     code = factory.__code__
@@ -174,21 +175,21 @@ DRIVES_ITSELF = "a highway-env vehicle class reads the road itself, so nothing c
 class Perception(Sight):
     """A factory that wraps an ADS factory, so that the ADS sees the other vehicles imperfectly.
 
-    The ADS sees the road and fixed objects exactly. All random values follow from the scenario's seed, so a scenario
-    gives the same run each time and in any process.
+    The ADS sees the road and fixed objects exactly. All random values follow from the scenario's seed, so repeated runs
+    of a scenario are identical, in any process.
 
     Attributes:
         ads: factory of the planner.
-        range: largest distance at which the planner sees another vehicle, measured between the centres [m].
-        latency: age of the observed states of other vehicles [s], rounded up to physics ticks. The ego's state is
+        range: largest distance [m] at which the planner sees another vehicle, measured between the centres.
+        latency: age [s] of the observed states of other vehicles, rounded up to physics ticks. The ego's state is
             current.
         noise: standard deviations of the normally distributed errors in ``"position"``, for x and y [m], and in
-            ``"speed"`` [m/s]. Each vehicle has new errors at each decision.
-        dropout: probability that the planner does not see a vehicle at a decision.
+            ``"speed"`` [m/s]. The errors of each vehicle are drawn anew for each decision.
+        dropout: probability that the planner fails to see a particular vehicle at a decision.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
-        AdsFactoryError: if ``ads`` is a vehicle class, which drives itself, or already a Perception.
+        AdsFactoryError: if ``ads`` is a vehicle class, which drives itself, or is already a Perception.
     """
 
     ads: AdsFactory
@@ -211,7 +212,7 @@ class Perception(Sight):
         return Sight(**{each.name: getattr(self, each.name) for each in fields(Sight)})
 
     def __call__(self, *observations: Any, **arguments: Any) -> Any:
-        """Make a fresh ADS with this perception."""
+        """Create a fresh ADS with this perception."""
         if observations:
             received = "a call with an observation, as if it were the ADS"
             fix = "write `ads=pafot.Perception(MyPlanner, ...)`, or return this object from the fixture"
@@ -224,7 +225,7 @@ class Perception(Sight):
 
 @dataclass(frozen=True, eq=False)
 class SeeingAds:
-    """An ADS with imperfect perception. A run calls ``ads`` with imperfect observations."""
+    """An ADS with imperfect perception. A run passes imperfect observations to ``ads``."""
 
     ads: Any
     sight: Sight
@@ -240,19 +241,19 @@ class SeeingAds:
 
 
 def rewrap_ads(ads: Any, wrap: Callable[[Any], Any]) -> Any:
-    """Wrap an ADS, but keep its perception."""
+    """Wrap an ADS, and keep its perception."""
     if is_vehicle_class(ads):
         raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
     return replace(ads, ads=wrap(ads.ads)) if isinstance(ads, SeeingAds) else wrap(ads)
 
 
 def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:
-    """Return the ADS that receives observations, and its perception, or None if that is perfect."""
+    """Return the ADS that receives observations, and its perception, or None if its perception is perfect."""
     return (ads.ads, ads.sight) if isinstance(ads, SeeingAds) else (ads, None)
 
 
 def sight_of(factory: Any) -> Sight | None:
-    """Return the perception of a factory's ADSs, or None if it is perfect."""
+    """Return the perception of a factory's ADSs, or None if their perception is perfect."""
     factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
     return factory.sight if isinstance(factory, Perception) and factory.imperfections else None
 
@@ -281,7 +282,7 @@ class ImperfectSensor(Sensor):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ads:
-    """The ADS that a policy has made for one run."""
+    """The ADS that a policy has created for one run."""
 
     given: Any  # the return value of the factory, which is closed after the run
     decides: Any  # the callable that receives the observations, or a vehicle class, which needs none
@@ -290,7 +291,7 @@ class Ads:
 
     @property
     def policy(self) -> Any:
-        """The ADS for the observations of an environment.
+        """The ADS, for a world in which it receives an environment's observations.
 
         Raises:
             AdsFactoryError: for imperfect perception, which only planners in SI units can have.
@@ -304,18 +305,18 @@ class Ads:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """The factory of a test's ADSs, or a vehicle class, with cached facts about it."""
+    """The factory of a test's ADSs, or a vehicle class, with cached properties."""
 
     factory: AdsFactory
 
     @cached_property
     def drives_itself(self) -> bool:
-        """True for a vehicle class of highway-env, which reads the road and returns no decisions."""
+        """Whether the policy is a highway-env vehicle class, which reads the road and returns no decisions."""
         return is_vehicle_class(self.factory)
 
     @cached_property
     def simulates(self) -> bool:
-        """True if the factory has a parameter ``env``, so that its ADSs can simulate in the environment."""
+        """Whether the factory has a parameter ``env``, so that its ADSs can simulate in the environment."""
         if self.drives_itself or takes_nothing(self.factory):
             return False
         try:
@@ -325,7 +326,7 @@ class Policy:
 
     @property
     def only_observes(self) -> bool:
-        """True if its ADSs decide from observations alone."""
+        """Whether the ADSs decide based on observations alone."""
         return not (self.drives_itself or self.simulates)
 
     @cached_property
@@ -377,14 +378,14 @@ ORDINARY = frozenset({
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdmModel:
-    """The constants of a vehicle class that drives with IDM and MOBIL, and whether it changes lanes."""
+    """The constants of a vehicle class that drives with IDM and MOBIL, and whether the class changes lanes."""
 
     constants: Mapping[str, float]
     changes_lanes: bool
 
 
 def is_patched(cls: type) -> bool:
-    """Return whether functions were added to a class of highway-env, for example by a test."""
+    """Return whether functions of a highway-env class have been replaced or added, for example by a test."""
     module, qualname = cls.__module__, cls.__qualname__
     for name, each in vars(cls).items():  # simple comparisons, because every run of a vehicle class makes them
         if type(each) is FunctionType and (each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module):
@@ -393,14 +394,14 @@ def is_patched(cls: type) -> bool:
 
 
 def is_usable(constants: Mapping[str, Any]) -> bool:
-    """Return whether the model works with these constants, of a class or of one vehicle."""
+    """Return whether the model works with these constants of a class or a vehicle."""
     if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
         return False
     return constants["COMFORT_ACC_MIN"] < 0 and all(constants[name] > 0 for name in POSITIVE)
 
 
 def idm_model(ads: Any) -> IdmModel | None:
-    """Return the model of a vehicle class, or None if the class has its own code."""
+    """Return the IDM model of a vehicle class, or None if the class has custom code."""
     whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
     cls, options = whole.func, whole.keywords
     stock = getattr(sys.modules.get("highway_env.vehicle.behavior"), "IDMVehicle", None)
@@ -427,12 +428,12 @@ def idm_model(ads: Any) -> IdmModel | None:
 
 
 Check = Callable[[Any], Any]
-"""A function that converts an action to the form in the record, and raises an error for an invalid one."""
+"""A function that converts an action to the form used in the record, or raises an error if the action is invalid."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Aside:
-    """The decisions that an ADS makes during a run without affecting it."""
+    """The decisions that an ADS makes during a run without affecting the run."""
 
     asked: int = 0  # number of decisions that it really made
     answers: list[Any] = field(default_factory=list)  # one action per decision; None where it raised an error
@@ -445,7 +446,7 @@ class Aside:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A decision whose observation is stored or replaced."""
+    """A decision for which the observation is stored or replaced."""
 
     number: int
     instead: Any = None  # replaces the observation, unless None
@@ -454,7 +455,7 @@ class Question:
 
 
 class Shadow(Around):
-    """An ADS whose decisions have no effect, because the run gets recorded actions."""
+    """An ADS with decisions that have no effect, because the run uses recorded actions."""
 
     def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
         super().__init__(ads)
@@ -486,7 +487,7 @@ class Shadow(Around):
 def beside(
     factory: AdsFactory, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None = None
 ) -> AdsFactory:
-    """Return a factory of ADSs whose decisions have no effect, because the run gets the recorded actions."""
+    """Return a factory of ADSs with decisions that have no effect, because the run uses the recorded actions."""
     return wrap_ads(factory, lambda ads: Shadow(ads, actions, check, aside, question))
 
 
@@ -503,7 +504,7 @@ class _Ending(Around):
 
 
 class Unseeing(Around):
-    """An ADS that does not see one NPC of a scenario."""
+    """An ADS that cannot see one NPC of a scenario."""
 
     def __init__(self, ads: Any, npc: int) -> None:
         super().__init__(ads)
@@ -517,14 +518,14 @@ class Unseeing(Around):
 
 
 def check_by(ads: Any, check: Check) -> None:
-    """Set the function that checks the actions of an ADS, if :func:`beside` has made the ADS."""
+    """Set the function that checks an ADS's actions, if the ADS was created by :func:`beside`."""
     shadow = ads._ads if isinstance(ads, Unseeing) else ads
     if isinstance(shadow, Shadow):
         shadow._check = check
 
 
 def without(factory: AdsFactory, npc: int) -> AdsFactory:
-    """Return a factory of the same ADSs, which cannot see one NPC."""
+    """Return a factory of ADSs that cannot see one NPC."""
     return wrap_ads(factory, lambda ads: Unseeing(ads, npc))
 
 
@@ -539,7 +540,7 @@ def repeat_action(action: Any) -> AdsFactory:
 
 
 def wrap_ads(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
-    """Return a factory that calls ``wrap`` with each ADS, but keeps its perception."""
+    """Return a factory that calls ``wrap`` with each ADS but keeps the ADS's perception."""
 
     def make(*observations: Any, **arguments: Any) -> Any:
         return rewrap_ads(factory(*observations, **arguments), wrap)
@@ -548,9 +549,9 @@ def wrap_ads(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
 
 
 def changed(observation: Observation, npc: int, by: tuple[float, float, float] | None) -> Observation:
-    """Return an observation in which an NPC has moved or is hidden.
+    """Return a copy of an observation in which one NPC is moved or hidden.
 
-    ``by`` is added to the NPC's x [m], y [m] and speed [m/s]. None hides the NPC.
+    ``by`` is added to the NPC's x [m], y [m] and speed [m/s]. If it is None, the NPC is hidden.
     """
     place, others = observation.ids.index(npc), list(observation.others)
     ids, lateral = list(observation.ids), list(observation.lateral_velocities)

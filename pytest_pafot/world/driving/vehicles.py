@@ -43,7 +43,7 @@ KINDS = (StraightLane, SineLane, CircularLane)  # in the order of the kinds of a
 
 
 def compiled_network(network: Any) -> Network | None:
-    """Return a road network of highway-env for the kernel, or None if it has custom lanes."""
+    """Convert a highway-env road network for the kernel, or return None if it has custom lanes."""
     lanes = network.lanes_dict()
     kinds = list[int]()
     shapes = list[Any]()
@@ -95,7 +95,7 @@ def is_regulated(vehicle: Vehicle) -> bool:
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """A regulated road of highway-env on which only the ego, the first vehicle, yields."""
+    """A regulated road of highway-env on which only the first vehicle, the ego, yields."""
 
     vehicles: list[Any]
 
@@ -120,7 +120,7 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
-    """A highway-env vehicle with highway-env's own physics, lane search and shape, and without goals."""
+    """A vehicle with highway-env's physics, lane search and shape, but without goals."""
 
     @property
     # highway-env's IDM uses this as the desired speed of a follower. An observer cannot know more about an NPC.
@@ -129,7 +129,7 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
     @target_speed.setter
     def target_speed(self, speed: float) -> None:
-        """Ignore the desired speed that an environment's code sets."""
+        """Ignore the desired speed that the code of an environment sets."""
 
     def control(self, acceleration: float, steering: float) -> None:
         super().act({"steering": steering, "acceleration": acceleration})
@@ -170,7 +170,7 @@ MOVED: Mapping[str, Any] = MappingProxyType(
 
 
 class TrafficClass:
-    """The class of an environment's traffic, which the NPCs have in the environment's code."""
+    """The traffic class of an environment, which the environment's code sees as the class of the NPCs."""
 
     def __init__(self, seen: Any, constants: Mapping[str, Any] = MappingProxyType({})) -> None:
         self.seen, self.constants = seen, constants
@@ -178,12 +178,12 @@ class TrafficClass:
 
     @cached_property
     def held(self) -> Any:
-        """The class that the vehicles have during a reset, derived from the traffic class."""
+        """The class of the vehicles during a reset, derived from the traffic class."""
         return self._with(HELD)
 
     @cached_property
     def moved(self) -> Any:
-        """The class that the vehicles have during a step of the road, derived from the traffic class."""
+        """The class of the vehicles during a step of the road, derived from the traffic class."""
         return self._with(MOVED)
 
     def __reduce__(self) -> Any:
@@ -195,12 +195,12 @@ class TrafficClass:
 
 
 def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
-    """Return the class in ``config["other_vehicles_type"]``, after testing it next to the ego on a road.
+    """Return the class that ``config["other_vehicles_type"]`` names, after testing it next to the ego on a road.
 
     ``changed`` contains the constants that the environment has set, by class.
 
     Raises:
-        Exception: if there is no such class, or if its vehicles cannot be put at the NPCs' positions.
+        Exception: if the class does not exist, or if its vehicles cannot be put at the NPCs' positions.
     """
     seen: Any = given if isinstance(given, type) else class_from_path(given)
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
@@ -227,7 +227,7 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
 
 
 class Traffic:
-    """The NPCs of a run as an environment's code sees them: vehicles of the environment's own traffic class."""
+    """The NPCs of a run as an environment's code sees them, as vehicles of the environment's traffic class."""
 
     def __init__(self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid) -> None:
         self.vehicles: list[Any] = []
@@ -252,7 +252,7 @@ class Traffic:
         self.show()
 
     def show(self, *, is_lean: bool = False) -> None:
-        """Move the vehicles to the NPCs, and update their lanes and targets unless ``is_lean``."""
+        """Move the vehicles to the NPCs' positions and, unless ``is_lean``, update their lanes and targets."""
         for each, body in zip(self.vehicles, self._bodies, strict=True):
             each.position = np.array([body.x, body.y])
             each.heading, each.speed = body.heading, body.speed
@@ -264,7 +264,7 @@ class Traffic:
             self.show_targets()
 
     def show_targets(self) -> None:
-        """Set the targets of the vehicles to those of the NPCs. The lanes of the vehicles must be current."""
+        """Copy the NPCs' targets to the vehicles. The lanes of the vehicles must be up to date."""
         for each, npc in zip(self.vehicles if self._is_controlled else (), self._npcs, strict=False):
             lane, each.target_lane_index = each.lane_index, each.lane_index
             # The target speed is never exactly 0, because environments such as merge-v0 divide by it.
@@ -286,7 +286,7 @@ def _target_speed(npc: Any) -> float:
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:
-    """Make a highway-env network of parallel straight lanes between the nodes "0" and "1", with sizes in metres."""
+    """Create a highway-env network of parallel straight lanes between the nodes "0" and "1", with sizes in metres."""
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
@@ -297,7 +297,7 @@ def straight_network(lanes: int, length: float, lane_width: float, speed_limit: 
 
 
 def straight_road(network: RoadNetwork) -> StraightRoad | None:
-    """Return the road of a network, or None if it is not one straight road along the x axis."""
+    """Convert a network to a straight road, or return None if it is not one straight road along the x axis."""
     lanes = network.lanes_list()
     segments = [(start, end) for start, ends in network.graph.items() for end in ends]
     values = tuple(
@@ -325,14 +325,14 @@ def straight_road(network: RoadNetwork) -> StraightRoad | None:
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
-    """Return the constants of a highway-env vehicle, or of ``IDMVehicle`` where it has none."""
+    """Return the constants of a highway-env vehicle, with the constants of ``IDMVehicle`` where it has none."""
     return {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in CONSTANTS}
 
 
 class CompiledRoad:
-    """The compiled form of a highway-env road, which copies vehicles to compiled ones and back.
+    """The compiled form of a highway-env road, which copies states between highway-env vehicles and compiled vehicles.
 
-    Compiled vehicles are in road coordinates on a straight road, and in world coordinates on other roads.
+    Compiled vehicles have road coordinates on a straight road, and world coordinates on other roads.
     """
 
     def __init__(self, road: Any, lanes: StraightRoad | Network) -> None:
@@ -345,7 +345,7 @@ class CompiledRoad:
         self._is_regulated = isinstance(road, RegulatedRoad)
 
     def vehicle(self, vehicle: Any) -> GoalVehicle:
-        """Return a compiled vehicle in the state of a highway-env vehicle."""
+        """Return a compiled vehicle with the state of a highway-env vehicle."""
         network, numbers = self._road.network, self._numbers
 
         def routed() -> int:
@@ -383,7 +383,7 @@ class CompiledRoad:
         return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the goal and the controls from a highway-env vehicle."""
+        """Copy the goal and the controls of a highway-env vehicle to a compiled vehicle."""
         if body.has_goal:
             body.goal, body.target_speed = self._numbers[vehicle.target_lane_index], float(vehicle.target_speed)
         body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
@@ -405,7 +405,7 @@ class CompiledRoad:
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
-    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and where each starts [m]."""
+    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and the start [m] of each."""
     lanes, graph = road.network.lanes_dict(), road.network.graph
     searched = [[(number, 0.0)] for number in numbers.values()]
     for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():
@@ -420,7 +420,7 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
 
 
 def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
-    """Return the rules of a regulated road for an ego that ``model`` drives, or None for other roads."""
+    """Return a regulated road's rules for an ego driven by ``model``, or None for other roads."""
     way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
@@ -432,7 +432,7 @@ def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, netw
 
 
 def obstacles_on(road: Any) -> list[Body]:
-    """Return the objects on a highway-env road for which its vehicles brake."""
+    """Return the objects on a highway-env road for which vehicles brake."""
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):

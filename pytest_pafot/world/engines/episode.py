@@ -46,10 +46,10 @@ class Episode:
 
     Attributes:
         seed: seed of the episode.
-        crashed: whether highway-env flagged the ego as crashed, even if the flag was cleared within the step.
+        crashed: whether highway-env flagged the ego as crashed, even if it cleared the flag within the step.
         error: error that ended the episode: an exception, a hang or an invalid action.
-        undriven: reason why the episode does not count: it ended without a crash in its first second or step, or the
-            ego never moved. Empty if it counts.
+        undriven: reason why the episode does not count, or empty if it does. An episode does not count if it ended
+            without a crash in its first second or step, or if the ego never moved.
     """
 
     seed: int
@@ -63,13 +63,13 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
 
     Args:
         world: world with the environment.
-        factory: factory of a policy of any kind.
+        factory: factory of the policy, which can be of any kind.
         seed: seed of the reset.
         is_planner: whether the policy receives an :class:`pytest_pafot.Observation` and acts in SI units.
 
     Raises:
         AdsFactoryError: if the factory returns an object that cannot drive.
-        WorldError: if the environment cannot be used, or its road is not straight and the policy is a planner.
+        WorldError: if the environment cannot be used, or if the policy is a planner and the road is not straight.
     """
     environment, limit, policy = world.environment, world.hang_limit, Policy(factory)
     environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
@@ -160,9 +160,9 @@ def _drive_by_actions(
 def _drive_beside(
     env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, watch: Watch
 ) -> tuple[int, AdsError | None]:
-    """Run an episode in which a vehicle class, or a planner's car, replaces the environment's ego.
+    """Run an episode in which a vehicle of a class, or a planner's car, replaces the environment's ego.
 
-    Return the number of steps, and the error of the planner or None.
+    Return the number of steps, and the planner's error or None.
     """
     old, kind = env.vehicle, made.decides if made.drives_itself else StockVehicle
     ego = kind(env.road, old.position, old.heading, old.speed)

@@ -1,8 +1,8 @@
 """Runs of scenarios with ``env.step`` of a registered highway-env environment.
 
-This module confirms findings with highway-env's own road, vehicles, observations, action types and frames. Only these
-parts are the package's own: the director of the NPCs, called in the road's ``act``; the test for contact, called after
-each step of the road; the record; and the observations and controls of planners in SI units.
+This module confirms findings with highway-env's own road, vehicles, observations, action types and frames. Only the
+following parts come from this package: the director of the NPCs, which the road's ``act`` calls; the check for contact
+after each step of the road; the record; and the observations and controls of planners in SI units.
 
 This is the only engine for environments with wrappers or a user's ``step``.
 """
@@ -65,8 +65,8 @@ TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 class StockPolicy(GuardedDriver):
     """The driver of an ego with a policy that observes and acts only through ``env.step``.
 
-    ``outer`` is the environment in its wrappers. ``view`` is a second environment, for a planner that simulates; it is
-    updated before each decision.
+    ``outer`` is the environment in its wrappers. ``view`` is a second environment in which a planner can simulate. It
+    is updated before each decision.
     """
 
     def __init__(
@@ -94,10 +94,10 @@ class StockPolicy(GuardedDriver):
             hide(outer.unwrapped, ads.npc)
 
     def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> None:
-        """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
+        """Reset the environment for its first observation, but keep all vehicles at the scenario's start positions.
 
         Raises:
-            WorldHang: if the environment, or a wrapper, does not return in time.
+            WorldHang: if the environment or a wrapper does not return in time.
         """
         with around.call():
             self._see(lambda: _reset_in_place(self.outer, seed, objects, hold))
@@ -111,10 +111,10 @@ class StockPolicy(GuardedDriver):
         return self._action
 
     def take_step(self, around: EnvironmentGuard) -> None:
-        """Take a step of the environment with the last action.
+        """Run a step of the environment with the last action.
 
         Raises:
-            WorldHang: if the environment, or a wrapper, does not return in time.
+            WorldHang: if the environment or a wrapper does not return in time.
         """
         with around.call():
             self._see(lambda: self.outer.step(self._action))
@@ -135,10 +135,10 @@ class StockPolicy(GuardedDriver):
 
 
 def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> tuple[Any, ...]:
-    """Reset an environment and its wrappers, but leave all vehicles where they are, and return the result.
+    """Reset an environment and its wrappers without moving any vehicle, and return the result.
 
-    ``objects`` are the objects of ``_reset``. ``hold`` prevents code from moving NPCs. It is called
-    before a user's ``reset``, and after highway-env's own.
+    ``objects`` are the objects that :func:`_reset` returned. ``hold`` prevents code from moving NPCs. It is called
+    before a user's ``reset``, and after highway-env's.
     """
     plain = outer.unwrapped
 
@@ -180,7 +180,7 @@ def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tup
 
 
 def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
-    """Repeat a run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
+    """Repeat a run of a :class:`pytest_pafot.Highway` in highway-v0, with the same lanes and speed limit."""
     lane, lanes = rules.road.lanes[0], rules.road.lane_count
     config = {
         "lanes_count": lanes,
@@ -233,9 +233,9 @@ def replay_environment(
 
 
 def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = None) -> tuple[Any, list[Any]]:
-    """Reset an environment, disable its methods that add traffic later, and return it without wrappers.
+    """Reset an environment, disable the methods that add traffic later, and return it without wrappers.
 
-    The second value is the list of objects that ``_reset`` has put on the road.
+    The second return value is the list of objects that the reset has put on the road.
     """
     env = outer.unwrapped
     if environment is not None:
@@ -284,10 +284,10 @@ def _si_run(
 
 
 class EpisodeEnds(OwnEnds):
-    """The ends of an episode in ``step`` of an environment and its wrappers, for a run that moves the vehicles itself.
+    """The detection of an episode's end by a wrapped environment's ``step``, in a run that moves the vehicles itself.
 
     The run replaces only the simulation in ``step``. So an episode ends at the same tick as with ``env.step``, unless
-    this depends on the action. Each step gets an action that changes nothing, if there is one.
+    its end depends on the action. If the environment has an action without effect, each step gets it.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class EpisodeEnds(OwnEnds):
         self._error: AdsError | None = None
 
     def _reset(self, objects: Sequence[Any], seed: int, vehicles: VehiclesOfRun) -> None:
-        """Reset the environment, and replace its simulation with that of the run."""
+        """Reset the environment, and replace its simulation with the simulation of the run."""
         outer, env = self._outer, self._env
         _reset_in_place(outer, seed, objects, _nothing)
         self._put = showing(self._environment, env, vehicles)
@@ -326,7 +326,7 @@ class EpisodeEnds(OwnEnds):
             self._action = names["IDLE"]
 
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
-        """Run a step of the wrapped environment, with ``move`` as its simulation, and return an error of the policy."""
+        """Run a step of the wrapped environment, simulated by ``move``, and return the policy's error or None."""
         self._move, self.asked = move, loop.tick
         try:
             begin, self._begin = self._begin, _nothing  # before the first step
@@ -363,7 +363,7 @@ class EpisodeEnds(OwnEnds):
 def episode_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> EpisodeEnds:
-    """Return the ends of a wrapped environment for a run with an ego from outside the environment."""
+    """Return the end detection of a wrapped environment for an ego from outside the environment."""
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
@@ -371,9 +371,9 @@ def episode_beside(
 
 
 def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
-    """Replace a method of an environment by a call.
+    """Replace a method of an environment with ``call``.
 
-    A copy of the environment, in which a user's code looks ahead, keeps the original method.
+    Copies of the environment, in which a user's code looks ahead, keep the original method.
     """
 
     def method(asked: Any, *given: Any, **named: Any) -> Any:
@@ -393,7 +393,7 @@ def _has_ended(result: Sequence[Any]) -> bool:
 
 
 def end_of(outer: Any) -> str:
-    """Name the limit of steps, the wrappers or the ``step`` that ended an episode, if no other method did."""
+    """Name the step limit, the wrappers or the ``step`` that ended an episode, unless another method did."""
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
@@ -401,7 +401,7 @@ def end_of(outer: Any) -> str:
 
 
 def _nothing(*_: Any, **__: Any) -> None:
-    """Do nothing, instead of a method of the environment."""
+    """Do nothing, in place of a method of the environment."""
 
 
 class _Loop:
@@ -538,7 +538,7 @@ class _Loop:
         return hz
 
     def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
-        """Set the class of all NPCs, in runs of a policy, to one of the traffic's classes."""
+        """Set the class of all NPCs, in runs of a policy, to a class derived from the traffic class."""
         for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
             npc.__class__ = getattr(self._class, name)
 
@@ -573,7 +573,7 @@ class _Loop:
 
     @property
     def _who(self) -> str:
-        """The class of the environment, and the classes of its wrappers."""
+        """The class names of the environment and its wrappers."""
         wrappers = wrapper_names(getattr(self._driver, "outer", self._env))
         return " in ".join([type(self._env).__name__, *wrappers])
 

@@ -1,7 +1,7 @@
 """Runs of policies and vehicle classes in an environment.
 
-Each run has a copy of the environment, which the driver of the ego and the observations read. The loop moves the
-vehicles and does not call ``step`` of the environment or the road.
+Each run has a copy of the environment, which the ego's driver and the observations read. The loop moves the vehicles,
+and never calls ``step`` of the environment or the road.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def rollout(
 ) -> Trace:
     """Simulate a scenario with a vehicle class or a policy.
 
-    ``own_ends`` is a function like :func:`ends_beside`, which is called for a vehicle class.
+    For a vehicle class, ``own_ends`` is called. It is a function like :func:`ends_beside`.
     """
     with ExitStack() as at_the_end:
         # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
@@ -89,7 +89,7 @@ def rollout(
 def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
-    """Return the ends of an environment for a run with an ego from outside the environment, or None."""
+    """Return an environment's methods that end episodes, for an ego from outside the environment, or None."""
     if not rules.ends:
         return None
     env = _env_of(environment, scenario)
@@ -98,7 +98,7 @@ def ends_beside(
 
 
 def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
-    """Put the vehicles of a run into an environment, and return a function that updates their states."""
+    """Put a run's vehicles into an environment, and return a function that updates their states."""
     ego, body = env.vehicle, vehicles.vehicles[0]
     traffic = Traffic(environment.traffic, env.road, ego, vehicles.places, vehicles.rules.road)
 
@@ -135,9 +135,9 @@ def _run_driver(
 
 
 def put_ego(env: Any, ego: Any) -> None:
-    """Make ``ego`` the only vehicle of an environment, instead of the ego of its reset.
+    """Make ``ego`` the only vehicle in an environment, instead of the ego that a reset has created.
 
-    It gets the attributes that the environment has added to its own ego, such as a goal.
+    ``ego`` gets the attributes that the environment has added to its own ego, such as a goal.
     """
     own = env.vehicle
     for name, value in vars(own).items():
@@ -151,10 +151,10 @@ def put_ego(env: Any, ego: Any) -> None:
 
 
 def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    """Put the ego of a policy into an environment, with the usual class for its actions or the class of its reset.
+    """Put a policy's ego into an environment, with the usual class for the actions or the class that the reset uses.
 
     Raises:
-        WorldError: if the class cannot be called as highway-env calls the classes of its actions.
+        WorldError: if the class cannot be called with the arguments that highway-env passes.
     """
     own, vehicle_class = env.vehicle, env.action_type.vehicle_class
     start, speed = rules.ego_position(scenario), rules.ego_speed(scenario)
@@ -200,13 +200,13 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
 
 
 def usual_class(action_type: Any) -> Any:
-    """Return the class of the ego for which an action type is made."""
+    """Return the class of ego for which an action type is designed."""
     vehicle_class = action_type.vehicle_class
     return vehicle_class.func if isinstance(vehicle_class, functools.partial) else vehicle_class
 
 
 def give_speeds(ego: Any, speeds: Any) -> None:
-    """Set the target speeds of an ego that chooses between speeds, as highway-env does."""
+    """Set the target speeds of an ego that chooses between several speeds, as highway-env does."""
     if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)

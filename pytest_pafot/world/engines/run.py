@@ -1,4 +1,4 @@
-"""One run of a scenario: its vehicles, its loop, and its trace."""
+"""A run of a scenario, with its vehicles, its loop and its trace."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from pytest_pafot.world.run_config import Rules, starts_of
 
 
 class VehiclesOfRun:
-    """The vehicles of one run, the ego first, and the record of their states.
+    """The vehicles of one run, with the ego first, and the record of their states.
 
-    ``stock_road`` returns the road as a road of highway-env, which not every run needs.
+    ``stock_road`` returns the road as a highway-env road. It is called only by runs that need this road.
     """
 
     # The part of the environment that has ended the run; see `Trace.ended`.
@@ -183,7 +183,7 @@ class VehiclesOfRun:
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
 
     def drive(self, driver: EgoDriver, guard: HangGuard, ends: OwnEnds | None = None) -> Trace:
-        """Run to the end under the guard, and return the trace. ``ends`` may end the run earlier."""
+        """Run to the end under the guard, and return the trace. ``ends`` can end the run earlier."""
         ticks = self.rules.ticks(self.scenario)
         try:
             with guard:
@@ -209,7 +209,7 @@ class VehiclesOfRun:
 
 
 class OwnEnds:
-    """The methods with which an environment ends episodes. They are called after each step of a run.
+    """The methods with which an environment ends episodes, called after each step of a run.
 
     ``show`` updates the vehicles of the environment to the state of the run.
     """
@@ -261,7 +261,7 @@ class OwnEnds:
 
 
 def _method_name(env: Any, name: str, method: Any) -> str:
-    """Return the name of a method for messages, with its module if it is highway-env's own."""
+    """Return the name of a method for messages, with the module name for a method of highway-env."""
     module = str(getattr(method, "__module__", ""))
     if module.startswith("highway_env."):
         return f"{module}.{method.__qualname__}"
@@ -292,7 +292,7 @@ def planner_run(
 ) -> tuple[VehiclesOfRun, PlannerDriver]:
     """Set up a run of a planner in SI units.
 
-    ``decisions`` replace the first calls of the planner. ``body`` is the ego, unless a usual body suffices.
+    ``decisions`` replace the first calls of the planner. ``body`` is the ego's body, or None for a default one.
     """
     decides, sight = ads_and_sight(ads)
     ego = body or Body(rules.ego.length, rules.ego.width)
@@ -310,9 +310,9 @@ def planner_driver(
     *,
     rules: Rules | None = None,
 ) -> PlannerDriver:
-    """Return the driver of an ego for a planner in SI units.
+    """Return the driver that lets a planner in SI units control the ego.
 
-    ``sight`` is None for perfect perception. ``rules`` can have another decision rate than the rules of the run.
+    ``sight`` is None for perfect perception. ``rules`` can have a different decision rate than the run's rules.
     """
     rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
     rates = rules.physics_hz, rules.every
@@ -350,12 +350,12 @@ def vehicle_run(
 
 
 def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
-    """Return a highway-env vehicle class, or a ``functools.partial`` of one, with the properties of a vehicle type.
+    """Return a highway-env vehicle class, or a ``functools.partial`` of one, with a vehicle type's properties.
 
     The type ``car`` does not change the class.
 
     Raises:
-        WorldError: if the class has another size.
+        WorldError: if the class has a different size.
     """
     if kind == CAR:
         return vehicle_class
@@ -383,7 +383,7 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
 def vehicle_of(
     vehicle_class: Any, road: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
 ) -> Any:
-    """Return a new ego on a road of highway-env at x [m], y [m], heading [rad] and speed [m/s]."""
+    """Create an ego on a highway-env road at x [m], y [m], heading [rad] and speed [m/s]."""
     x, y, heading = start
     vehicle = vehicle_class(road, [x, y], heading, speed)
     vehicle.check_collisions = False

@@ -1,7 +1,7 @@
 """Runs in which a user's simulator moves the vehicles.
 
-In each tick, the package's own model moves all vehicles first. The simulator then receives the controls and the
-resulting states, and its own states replace them.
+In each tick, the package's own model first moves all vehicles. The simulator then receives the controls and the
+resulting states, and returns states that replace them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Vehicle(NamedTuple):
         x, y, heading, speed: position, heading and speed.
         length, width: size.
         lane: lane, counted from 0 at the left.
-        kind: name of the vehicle type, such as ``"car"`` or ``"truck"``.
+        kind: name of the vehicle's type, such as ``"car"`` or ``"truck"``.
     """
 
     x: float
@@ -76,9 +76,9 @@ class Control(NamedTuple):
     Attributes:
         acceleration: requested acceleration, in the simulator's unit of speed per second.
         steering: angle of the front wheels. Headings increase if it is positive.
-        x, y, heading, speed: state at the end of the tick by the package's kinematic bicycle model.
-        action: action of the ego's policy, if the simulator is ``native``; ``acceleration`` and ``steering`` are then
-            0. None for NPCs, and while a driver of the package replaces the policy.
+        x, y, heading, speed: state at the end of the tick according to the package's kinematic bicycle model.
+        action: action of the ego's policy, if the simulator is ``native``. ``acceleration`` and ``steering`` are then
+            0. None for NPCs, and while one of the package's drivers replaces the policy.
     """
 
     acceleration: float
@@ -100,34 +100,35 @@ class _Hz:
 class Simulator(ABC):
     """The base class of a user's simulator, for :class:`pytest_pafot.SimulatorWorld`.
 
-    One object simulates many runs, one after the other. :meth:`start` starts each run. All values are in the units and
-    axes that the class attributes declare.
+    One object simulates many runs, one after the other. Each run starts with a call of :meth:`start`. All values are in
+    the units and axes that the class attributes declare.
 
     Attributes:
         dt: duration of a tick [s], from 0.001 to 0.2. None if you set ``hz``.
         hz: ticks per second, from 5 to 1000. The default is 15, or 1 / ``dt``.
-        lanes: number of parallel straight lanes; the x axis is the centre of lane 0, the leftmost. For lanes of other
-            shapes, a list of their centre lines from the left, each with at least two points (x, y) in the direction of
-            driving.
+        lanes: number of parallel straight lanes. The x axis is the centre line of lane 0, the leftmost lane. For lanes
+            of other shapes, a list of the centre lines from the left, each with at least two points (x, y) in the
+            direction of driving.
         lane_width: width of a lane. None for 4 m.
         speed_limit: speed limit. None for 26.8 m/s.
         length: length of the road if ``lanes`` is a number. None if it has no end.
-        start_lane, start_speed, start_at: lane, speed and position along the lane of the ego at the start on a curved
-            road. None for a speed of 22 m/s or the limit, and for the first position with enough road behind the ego.
-        obstacles: fixed objects: x and y of the centre, heading, length and width of each.
+        start_lane, start_speed, start_at: the ego's lane, speed and position along the lane at the start on a curved
+            road. None stands for a speed of 22 m/s or the limit, and for the first position with enough road behind the
+            ego.
+        obstacles: fixed objects, each given by the x and y of its centre, its heading, length and width.
         y_is_left: True if y is positive to the left of a vehicle that drives along x.
-        headings: axis with heading 0, and axis with a heading of a quarter turn, such as ``"x to y"`` or ``"x to -y"``.
-            A compass is ``"y to x"`` if x points to the east and y to the north.
+        headings: axis with heading 0, and axis with a heading of a quarter turn, for example ``"x to y"`` or ``"x to
+            -y"``. A compass is ``"y to x"`` if x points to the east and y to the north.
         degrees: True if angles are in degrees.
         reference: point of a vehicle at x and y: the ``"centre"`` of its box, or the middle of its ``"front"`` or
             ``"rear axle"``.
-        rear_axle_offset: distance from the centre of the box back to the rear axle, always in metres [m].
-        metres: length of the simulator's unit of length [m].
-        metres_per_second: value of the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
+        rear_axle_offset: distance from the centre of the box back to the rear axle, always in metres.
+        metres: the simulator's unit of length, expressed in metres.
+        metres_per_second: the simulator's unit of speed, expressed in m/s; ``1 / 3.6`` for km/h.
         moves_ego_only: True if :meth:`step` puts all NPCs into the states of their controls.
         packages: names of the installed packages whose versions affect runs. Saved files record these versions.
-        one_at_a_time: True if a process can have only one simulator of this class, for example because its engine is
-            global. Then a process never has two open runs.
+        one_at_a_time: True if a process can have only one simulator of this class, for example because the engine is
+            global. A process then never has two open runs.
         native: True if the policy receives the return value of :meth:`observe` and returns an action for :meth:`step`.
     """
 
@@ -155,21 +156,21 @@ class Simulator(ABC):
 
     @abstractmethod
     def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
-        """Start a run with these vehicles, the ego first. All randomness must depend on ``seed`` alone."""
+        """Start a run with these vehicles. The ego comes first. All randomness must depend on ``seed`` alone."""
 
     @abstractmethod
     def step(self, controls: Sequence[Control]) -> None:
-        """Advance all vehicles by one tick. ``controls`` has one control per vehicle, the ego's first."""
+        """Advance all vehicles by one tick. ``controls`` contains one control per vehicle, with the ego's first."""
 
     @abstractmethod
     def states(self) -> Any:
-        """Return x, y, heading and speed of each vehicle, in shape [vehicles, 4] with the ego first."""
+        """Return x, y, heading and speed of each vehicle in an array of shape [vehicles, 4], with the ego first."""
 
     def observe(self) -> Any:
-        """Return the input of a ``native`` simulator's policy, before each of its decisions.
+        """Return the input for the next decision of a ``native`` simulator's policy.
 
-        The method can have a parameter ``hidden``, the index of an NPC or None. It must then hide this NPC from the
-        policy. Reports need this to find out whether an action depends on a vehicle.
+        The method can have a parameter ``hidden``, the index of an NPC or None. The method must then hide this NPC from
+        the policy. Reports use this to find out whether an action depends on a vehicle.
         """
         raise NotImplementedError
 
@@ -177,8 +178,8 @@ class Simulator(ABC):
         """Check an action of a ``native`` simulator's policy, and return it for :meth:`step` and the trace.
 
         Raises:
-            ValueError: if it is not an action. The run then ends with an error of the policy. By default, only None is
-                rejected.
+            ValueError: if the action is invalid. The run then ends with an error of the policy. By default, only None
+                is rejected.
         """
         if action is None:
             raise ValueError(
@@ -189,16 +190,16 @@ class Simulator(ABC):
     def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
         """Release resources such as a process.
 
-        It is called once, at the end of the session or process, or after a failure of the simulator.
+        The method is called once, at the end of the session or process, or after a failure of the simulator.
         """
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the arguments of the class that make this simulator again, as data for a file."""
+        """Return the arguments with which the class creates this simulator again, as data for a file."""
         return {}
 
 
 class Frame:
-    """The units and axes of a simulator, and the origin of its straight road, as x [m], y [m] and heading [rad]."""
+    """The units and axes of a simulator, and the origin of its straight road: x [m], y [m] and heading [rad]."""
 
     def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         self.origin = origin
@@ -215,12 +216,12 @@ class Frame:
         self._cos, self._sin = math.cos(heading), math.sin(heading)
 
     def point(self, x: float, y: float) -> tuple[float, float]:
-        """Convert a position in the simulator to x and y in a run [m]."""
+        """Convert a position in the simulator to a run's x [m] and y [m]."""
         dx, dy = x * self.metres - self._x, self.side * y * self.metres - self._y
         return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
 
     def state(self, row: Sequence[float], length: float, near: float) -> tuple[float, float, float, float]:
-        """Convert a row of the simulator's states to x, y, heading and speed in a run [m, m, rad, m/s]."""
+        """Convert a row of the simulator's states to a run's x [m], y [m], heading [rad] and speed [m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
         # A simulator may limit headings to one turn, while a run must not jump by a turn.
@@ -245,7 +246,7 @@ class Frame:
 
 
 class RepeatedBody(Body):
-    """The ego of a repeated run: it repeats its decisions up to a tick, and then obeys its driver."""
+    """The ego of a repeated run, which repeats its decisions up to a tick and then obeys its driver."""
 
     def __init__(self, length: float, width: float, actions: Sequence[Any], until: int) -> None:
         super().__init__(length, width)
@@ -268,13 +269,13 @@ class RepeatedBody(Body):
 
 
 class OwnUnits(tuple[Any, ...]):
-    """A native action that is a tuple, but not acceleration and steering in SI units."""
+    """A tuple that is a native action, rather than acceleration and steering in SI units."""
 
     __slots__ = ()
 
 
 class Observed(Sensor):
-    """The observations of a native policy."""
+    """The observations that a native policy receives."""
 
     seen: Any = None
 
@@ -283,7 +284,7 @@ class Observed(Sensor):
 
 
 class NativeDriver(PlannerDriver):
-    """The driver of an ego with a native policy, which receives observations and returns actions of a simulator."""
+    """The driver of an ego with a native policy, which receives a simulator's observations and returns its actions."""
 
     def __init__(
         self, vehicles: VehiclesOfRun, ads: Any, guard: HangGuard, decisions: Sequence[Any], every: int
@@ -305,10 +306,10 @@ class NativeDriver(PlannerDriver):
         return None
 
     def take(self, action: Any, seconds: float) -> None:
-        """Check and apply a decision that took ``seconds``.
+        """Check and apply an action, for which the policy took ``seconds``.
 
         Raises:
-            BadAction: if it is None, or the simulator does not accept it.
+            BadAction: if the action is None, or if the simulator does not accept it.
         """
         self._take(self._check_action(action))
         self.slowest = max(self.slowest, seconds)
@@ -342,7 +343,7 @@ class NativeDriver(PlannerDriver):
 
 
 class Simulation:
-    """One run of a simulator."""
+    """One run in a simulator."""
 
     def __init__(
         self, simulators: Simulators, frame: Frame, vehicles: VehiclesOfRun, seed: int, guard: HangGuard
@@ -386,7 +387,7 @@ class Simulation:
         """Simulate the tick in which the package's own model has just moved all vehicles.
 
         Raises:
-            WorldError: if the first tick shows that units, axes or vehicles are mixed up.
+            WorldError: if the first tick shows that the simulator mixes up units, axes or vehicles.
             Implausible: if a vehicle later moves in an impossible way.
         """
         frame, bodies = self._frame, self._bodies
@@ -513,7 +514,7 @@ class Simulation:
 
 
 class Simulators:
-    """The simulators of a world in this process. Each run has one while it lasts, and later runs reuse it."""
+    """The simulators that a world has created in this process. Each run borrows one, and later runs reuse it."""
 
     _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
 
@@ -548,7 +549,7 @@ class Simulators:
         return self._make()
 
     def give(self, simulator: Any, *, is_sound: bool = True) -> None:
-        """Take a simulator back after its run, or close it if it has failed."""
+        """Take a simulator back after a run, or close it if it has failed."""
         if is_sound and self._process == getpid():
             self._free.append(simulator)
         else:
@@ -556,7 +557,7 @@ class Simulators:
 
     @classmethod
     def close_all(cls) -> None:
-        """Close all unused simulators of this process. Later runs make new ones."""
+        """Close all unused simulators of this process. Later runs create new ones."""
         for each in tuple(cls._all):
             _close(each._process, each._free)
 

@@ -1,6 +1,6 @@
-"""Seeding of the global random generators for each run, and their restoration afterwards.
+"""The seeding of the global random generators for each run, and the restoration of their states afterwards.
 
-A policy that calls ``random.gauss`` or ``numpy.random.rand`` then acts in the same way each time, in any process. torch
+So a policy that calls ``random.gauss`` or ``numpy.random.rand`` acts in the same way each time, in any process. torch
 is also seeded if other code has imported it.
 """
 
@@ -103,8 +103,9 @@ class _Generators:
     """The global random generators of this process.
 
     Seeding takes a hundredth of the time of a fast run, and few policies draw random numbers. So if the first run draws
-    none, the next runs share a seed. After each of them, a separate generator with that seed shows whether the run drew
-    numbers. If so, the run is repeated with its own seed, and each later run also has its own.
+    none, the next runs share a seed. After each run, a comparison with a separate generator with that seed shows
+    whether the run drew numbers. If so, the run is repeated with its own seed, and each later run also has its own
+    seed.
     """
 
     def __init__(self) -> None:
@@ -122,7 +123,7 @@ class _Generators:
     def held(self, *, may_share: bool = True) -> Iterator[None]:
         """Restore the generators at the end of the outermost ``with`` block.
 
-        If ``may_share`` is false, runs share no seed, because other threads draw numbers.
+        If ``may_share`` is false, because other threads draw numbers, runs do not share a seed.
         """
         self._may_share = self._may_share and may_share
         self._holders += 1
@@ -140,7 +141,7 @@ class _Generators:
 
     @REPLACED.shown(True)
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
-        """Execute a run with seeded generators, and return its trace, which records whether the run drew numbers."""
+        """Execute a run with seeded generators, and return a trace that records whether the run drew numbers."""
         __tracebackhide__ = True
         if self._is_running:
             return rollout(scenario, factory, **given)
@@ -173,13 +174,13 @@ class _Generators:
         self._others = self._seeded(0)
 
     def is_shared(self) -> bool:
-        """Return whether runs can still share a seed. If a run has drawn numbers, each later run has its own seed."""
+        """Return whether runs can still share a seed, which is no longer possible once a run has drawn numbers."""
         if self._save() or self._drew(self._others):
             self._others = []
         return bool(self._others)
 
     def _save(self) -> bool:
-        """Save the state of each new generator, and return whether there was one."""
+        """Save the state of each new generator, and return whether any generator was new."""
         torch = sys.modules.get("torch")  # only if something else has imported it
         known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
         new = known[len(self._saved) :]

@@ -1,4 +1,4 @@
-"""A wall-clock limit for decisions, so that a policy that hangs ends only its run and not the session."""
+"""A wall-clock limit for decisions, so that a hanging policy ends only its run and not the session."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class LastResort:
 
 
 def patience_with_world(hang_limit: float) -> float:
-    """Return how long a call of a world's code may take [s], given the hang limit of decisions."""
+    """Return how long [s] a call of a world's code may take, given the hang limit [s] of decisions."""
     return max(WORLD_SHARE * hang_limit, LEAST_FOR_WORLD)
 
 
 @contextmanager
 def last_resort(resort: LastResort) -> Iterator[None]:
-    """Apply a :class:`LastResort` to the decisions of this process within a ``with`` block."""
+    """Apply a :class:`LastResort` to this process's decisions within a ``with`` block."""
     before = _WATCHDOG.set_resort(resort)
     try:
         yield
@@ -79,9 +79,9 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 
 @contextmanager
 def runs_end_in(seconds: float) -> Iterator[None]:
-    """End runs within a ``with`` block with :class:`~pytest_pafot.support.errors.OutOfTime` after ``seconds``.
+    """Raise :class:`~pytest_pafot.support.errors.OutOfTime` in runs within a ``with`` block after ``seconds``.
 
-    A run ends before its next decision. If blocks are nested, the limit of the inner block applies.
+    The exception is raised before the next decision. If blocks are nested, the limit of the inner block applies.
     """
     before, _WATCHDOG.until = _WATCHDOG.until, monotonic() + seconds
     try:
@@ -98,7 +98,7 @@ def check_time() -> None:
 
 @contextmanager
 def unending() -> Iterator[None]:
-    """Guard the code of a policy outside its decisions, such as its factory, with the limit of :func:`runs_end_in`."""
+    """Guard a policy's code outside its decisions, such as its factory, with the limit of :func:`runs_end_in`."""
     if _WATCHDOG.until == math.inf:
         yield
         return
@@ -107,13 +107,13 @@ def unending() -> Iterator[None]:
 
 
 def note_interrupt(interrupt: KeyboardInterrupt) -> None:
-    """Make the running decision of the main thread end with an interrupt, even if the policy catches it."""
+    """Make the main thread's running decision end with an interrupt, even if the policy catches it."""
     for guard in _WATCHDOG.guards.copy():
         guard.note(interrupt)
 
 
 class OneProcess:
-    """A context manager for the code of a policy, which ends a forked copy of this process."""
+    """A context manager for a policy's code that ends any forked copy of this process."""
 
     def __init__(self) -> None:
         self.pid = getpid()
@@ -147,19 +147,19 @@ class OneProcess:
 
 
 class AdsHang(BaseException):
-    """The interruption of a decision, which ``except Exception`` in the policy does not catch."""
+    """The exception that interrupts a decision. A policy's ``except Exception`` does not catch it."""
 
 
 class WorldHang(AdsHang):
-    """The interruption of a user's environment, with a message that names the class and the method."""
+    """The exception that interrupts a user's environment, with a message that names the class and the method."""
 
 
 class HangGuard:
     """A guard that interrupts its thread when a decision takes longer than a limit.
 
-    In the main thread, it also interrupts blocking system calls if the platform has ``signal.pthread_kill``. Otherwise,
-    the exception is raised at the next Python instruction of the thread. The :class:`LastResort` handles code that
-    never returns to the interpreter, and a policy that catches every interruption.
+    In the main thread, the guard also interrupts blocking system calls if the platform has ``signal.pthread_kill``.
+    Otherwise, the exception is raised at the thread's next Python instruction. The :class:`LastResort` handles code
+    that never returns to the interpreter, and a policy that catches every interruption.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True) -> None:
@@ -207,7 +207,7 @@ class HangGuard:
         """Start guarding a decision.
 
         Raises:
-            OutOfTime: if the time of the search has run out.
+            OutOfTime: if the search has run out of time.
         """
         now = self.clock()
         if now >= self.until:
@@ -218,17 +218,17 @@ class HangGuard:
     def decision_ends(self) -> None:
         """Stop guarding the decision. Nothing is interrupted after this method returns.
 
-        The interruption may still arrive inside this call. The caller must then call the method again.
+        The interruption can still arrive during this call. The caller must then call the method again.
         """
         self.started = None
         self.settle()
 
     def raise_swallowed(self) -> None:
-        """Raise the interruption that a policy caught, after a decision that ended without an exception.
+        """Raise the interruption that a policy caught, if a decision has ended without an exception.
 
         Raises:
             AdsHang: if the decision exceeded the limit.
-            OutOfTime: if the decision continued after the end of its search.
+            OutOfTime: if the decision continued after the search had run out of time.
             KeyboardInterrupt: if the user ended the session during the decision.
         """
         # Called after `decision_ends`, outside of its `finally`, so that an exception that ends the decision is kept.
@@ -246,12 +246,12 @@ class HangGuard:
         self.raise_swallowed()
 
     def note(self, interrupt: KeyboardInterrupt) -> None:
-        """Store an interrupt of the main thread for :meth:`raise_swallowed` if its decision is running."""
+        """Store an interrupt of the main thread for :meth:`raise_swallowed` if this thread is running a decision."""
         if self._target == threading.get_ident() and self.started is not None:
             self.interruption = interrupt
 
     def settle(self) -> None:
-        """Wait for an interruption that was sent. The caller must have set ``started`` to None."""
+        """Wait for an interruption that has been sent. The caller must have set ``started`` to None."""
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:
@@ -311,7 +311,7 @@ class HangGuard:
 
 
 class _Watchdog:
-    """The thread that serves all guards of the process. Starting a thread for each run would take as long as a run."""
+    """The thread that serves all guards of the process, because starting a thread takes as long as a run."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -408,7 +408,7 @@ def _waits_in_a_debugger(frame: FrameType | None) -> bool:
 
 
 def one_process() -> OneProcess:
-    """Return the object that detects copies of this process. All runs share it."""
+    """Return the object, shared by all runs, that detects copies of this process."""
     return _WATCHDOG.process
 
 
@@ -438,7 +438,7 @@ DEBUGGER = "_pytest.debugging"
 class Around:
     """The base class of wrappers around a policy.
 
-    A run calls ``close`` only if the policy has driven.
+    A run calls ``close`` only if the policy has been called.
     """
 
     def __init__(self, ads: Any) -> None:
@@ -451,7 +451,7 @@ class Around:
 
 
 def exits() -> tuple[type[BaseException], ...]:
-    """Return the exception class of ``pytest.exit()`` in a tuple, which is empty if pytest has not been imported."""
+    """Return a tuple with the exception class of ``pytest.exit()``, or an empty tuple if pytest is not imported."""
     return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
 
 
@@ -471,7 +471,7 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
 
 
 def let_through(error: BaseException) -> None:
-    """Re-raise an exception if it is an interruption. Call this wherever all exceptions of a policy are caught."""
+    """Re-raise an exception if it is an interruption. Call this wherever a policy's exceptions are caught."""
     if is_interruption(error, is_of_ads=True):
         raise error
 
@@ -484,7 +484,7 @@ def _is_from_outside(error: BaseException) -> bool:
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
-    """Convert an exception in a decision to an AdsError, or re-raise an interruption."""
+    """Convert an exception in a decision to an AdsError, or re-raise it if it is an interruption."""
     let_through(error)
     if isinstance(error, BadAction):
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)
@@ -514,7 +514,7 @@ def _users_part(error: BaseException) -> TracebackType | None:
 
 @contextmanager
 def closing(ads: Any, hang_limit: float) -> Iterator[None]:
-    """Call the ``close`` method of a policy, if it has one, when a ``with`` block ends.
+    """Call a policy's ``close`` method, if it has one, at the end of a ``with`` block.
 
     An exception, or a call that takes longer than ``hang_limit`` [s], causes only a ``RuntimeWarning``.
     """
@@ -538,8 +538,8 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
     except UNFIT as error:
         failed = error_of(error, 0, guard)
         what = f"a return within {guard.limit:g} s" if failed.interrupted else "no exception"
-        received = "a call that was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
-        text = f"{name}: expected {what}, received {received}; this does not change the result of the run"
+        received = "none, so the call was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
+        text = f"{name}: expected {what}, received {received}. This does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
         except RuntimeWarning:  # with `-W error`, it would hide the error of the run, or end pytest's summary

@@ -1,7 +1,7 @@
 """The simulation kernel, in typed Python that is compiled if a C compiler is available.
 
 The ``.pxd`` file next to each module declares the C types. If the compiled modules do not match these sources, or if
-the environment variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted. Runs
+the environment variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, Python interprets the same files. Runs
 then take about twenty times as long, with the same results.
 """
 

@@ -1,4 +1,4 @@
-"""Checks for the actions of planners, and functions that turn them into controls within a car's limits."""
+"""Checks for the actions of planners, and functions that convert them to controls within a car's limits."""
 
 from __future__ import annotations
 
@@ -14,34 +14,36 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamp
 
 EGO_ACCELERATION = 6.0
-"""The maximum acceleration of an ego, to which actions of planners are limited [m/s^2]."""
+"""The maximum acceleration [m/s^2] of an ego, to which planners' actions are limited."""
 EGO_BRAKING = 9.81
-"""The maximum deceleration of an ego, which is full braking on a dry road [m/s^2]."""
+"""The maximum deceleration [m/s^2] of an ego, equal to full braking on a dry road."""
 EGO_STEERING = math.pi / 4
-"""The maximum steering angle of an ego [rad]."""
+"""The maximum steering angle [rad] of an ego."""
 
 KP_SPEED = 1.0 / 0.6  # acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
 STEEPEST = math.pi / 4  # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
-"""The default lateral limits of a :class:`LaneCommand` [m/s^2, m/s^3].
+"""The default limits on lateral acceleration [m/s^2] and lateral jerk [m/s^3] in a :class:`LaneCommand`.
 
-UN R79, 5.6.2.1.3, allows 3 and 5. The defaults are lower because braking or speeding up in a turn increases both."""
+UN R79, 5.6.2.1.3, allows 3 and 5. The defaults are lower because braking or speeding up in a turn increases both
+values.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCommand:
     """An action with a target lane and either a speed or an acceleration, instead of acceleration and steering.
 
-    Until the next decision, the ego steers towards the centre of the lane within the lateral limits. It accelerates or
-    brakes towards the speed, or keeps the acceleration constant.
+    Until the next decision, the ego steers towards the centre of the lane within the lateral limits. It also
+    accelerates or brakes to reach the target speed, or keeps the acceleration constant.
 
     Attributes:
         lane: target lane, counted from 0 at the left.
         speed: target speed [m/s], at least 0. None if ``acceleration`` is given.
         acceleration: acceleration [m/s^2]. None if ``speed`` is given.
-        lateral_acceleration: limit of the lateral acceleration [m/s^2], from 0.1 to 100.
-        lateral_jerk: limit of the lateral jerk [m/s^3], from 0.1 to 1000.
+        lateral_acceleration: limit [m/s^2] on the lateral acceleration, from 0.1 to 100.
+        lateral_jerk: limit [m/s^3] on the lateral jerk, from 0.1 to 1000.
     """
 
     lane: int
@@ -69,17 +71,17 @@ def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | LaneComm
 
 
 def possible_acceleration(wanted: float) -> float:
-    """Limit an acceleration to the range that an ego can reach [m/s^2]."""
+    """Limit an acceleration [m/s^2] to the range that an ego can reach."""
     return min(max(wanted, -EGO_BRAKING), EGO_ACCELERATION)
 
 
 def possible_steering(wanted: float) -> float:
-    """Limit a steering angle to the range that an ego can reach [rad]."""
+    """Limit a steering angle [rad] to the range that an ego can reach."""
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
 
 
 def acceleration_to_speed(wanted: float, speed: float) -> float:
-    """Return an ego's acceleration towards a target speed [m/s^2]."""
+    """Return an ego's acceleration [m/s^2] towards a target speed."""
     return possible_acceleration(KP_SPEED * (wanted - speed))
 
 
@@ -92,13 +94,13 @@ def lane_steering(
     kp_heading: float,
     kp_lateral: float,
 ) -> float:
-    """Return the unlimited steering angle towards the centre of a lane [rad].
+    """Return the steering angle [rad] towards the centre of a lane, without a limit.
 
     Args:
-        offset: offset from the lane's centre, positive to the right [m].
-        ahead: direction of the lane slightly ahead of the vehicle [rad].
+        offset: offset [m] from the lane's centre, positive to the right.
+        ahead: direction [rad] of the lane slightly ahead of the vehicle.
         heading, speed, length: heading [rad], speed [m/s] and length [m] of the vehicle.
-        kp_heading, kp_lateral: gains of the heading and lateral control [1/s].
+        kp_heading, kp_lateral: gains [1/s] of the heading control and the lateral control.
     """
     divisor = not_zero(speed)
     sideways = math.asin(clamp(-kp_lateral * offset / divisor, 1.0))
@@ -108,14 +110,14 @@ def lane_steering(
 
 
 def not_zero(value: float) -> float:
-    """Replace a number near zero with 0.01 or -0.01, so that it can be a divisor."""
+    """Replace a number close to zero with 0.01 or -0.01, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
 
 
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
-    """Limit an acceleration so that the vehicle stops instead of reversing [m/s^2]."""
+    """Limit an acceleration [m/s^2] so that the vehicle stops instead of reversing."""
     return max(wanted, -speed / dt) if wanted < 0.0 else wanted
 
 
@@ -190,7 +192,7 @@ def _expected(action: Any) -> str:
 
 
 def hint_at(action: Any) -> str:
-    """Return a hint about the probable cause of an invalid action, or an empty string."""
+    """Return a hint about the likely cause of an invalid action, or an empty string."""
     if action is None:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):

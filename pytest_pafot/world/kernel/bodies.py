@@ -1,4 +1,4 @@
-"""Vehicles as moving boxes, and the detection of contact between boxes.
+"""Vehicles as moving boxes, and the detection of contacts between boxes.
 
 Vehicles move according to highway-env's kinematic bicycle model. highway-env's own collision check is switched off,
 because it also reports predicted contacts and pushes vehicles apart.
@@ -16,7 +16,7 @@ MAX_SPEED = TOP_SPEED  # both forwards and backwards [m/s]; unlike TOP_SPEED, it
 
 
 class Box:
-    """A rectangle with a centre [m], a heading [rad], a length and a width [m]."""
+    """A rectangle with a centre [m], a heading [rad], a length [m] and a width [m]."""
 
     def __init__(self, x: float, y: float, heading: float, length: float, width: float) -> None:
         self.x = x
@@ -27,7 +27,7 @@ class Box:
 
 
 class Body(Box):
-    """A box that moves at a speed [m/s], with controls that apply until they are set again."""
+    """A box with a speed [m/s] and controls, which apply until they are changed."""
 
     def __init__(self, length: float, width: float) -> None:
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
@@ -74,14 +74,14 @@ def overlap(a: Box, b: Box) -> bool:
 
 
 def depth(a: Box, b: Box) -> float:
-    """Return the largest gap between two boxes along any of their axes [m], which is negative if they overlap."""
+    """Return the largest gap [m] between two boxes along any of their axes, negative if the boxes overlap."""
     along, across = separation(a, b)
     its_along, its_across = separation(b, a)
     return max(along, across, its_along, its_across)
 
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
-    """Return the gaps between two boxes along the length and the width of the first [m]. Overlaps are negative."""
+    """Return the gaps [m] between two boxes along the length and the width of the first. Overlaps are negative."""
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
@@ -95,7 +95,7 @@ def separation(a: Box, b: Box) -> tuple[float, float]:
 
 
 def side_hit(ego_before: Box, other_before: Box) -> Side:
-    """Return the side of the ego that was hit, given both boxes in the last tick without contact."""
+    """Return the side of the ego that was hit, given both boxes at the last tick before the contact."""
     # The contact occurred along the axis of the ego along which the gap was larger before.
     along, across = separation(ego_before, other_before)
     dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y

@@ -1,7 +1,7 @@
-"""The control of crossing NPCs, which follow their own paths and adapt to the ego's arrival at their zone.
+"""The control of crossing NPCs, each of which follows its own path and adapts to the ego's arrival at its zone.
 
-An NPC adapts its speed to the ego's estimated arrival until a few seconds before it enters its zone. Then it keeps to
-its plan, because an NPC that slowed down with the ego would hide the ego's failures. Apart from that, it acts like a
+An NPC adapts its speed to the ego's estimated arrival until a few seconds before it enters its zone. The NPC then keeps
+to its plan, because an NPC that slowed down with the ego would hide the ego's failures. Otherwise, it behaves like a
 driver: it stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other
 NPCs.
 """
@@ -58,13 +58,13 @@ class LeaderAhead:
         self.places = places  # position on the NPC's path of each point of the vehicle's path [m]; NaN if not on it
 
     def place(self, along: float) -> float:
-        """Convert a position on the vehicle's path to a position on the NPC's path [m], or to NaN."""
+        """Convert a position [m] on the vehicle's path to a position on the NPC's path, or to NaN."""
         point = int(along / STEP + 0.5)
         return self.places[point] if 0 <= point < len(self.places) else NOWHERE
 
 
 class CrossingNpc(Body):
-    """A crossing NPC, with x along its path, y to the right of the path, and a heading relative to the path."""
+    """A crossing NPC, with x along its path, y to the right of this path, and a heading relative to this path."""
 
     def __init__(
         self,
@@ -113,20 +113,20 @@ class CrossingNpc(Body):
                 times[point] = times[point - 1] + 2.0 * STEP / max(speeds[point] + speeds[point - 1], 2e-3)
 
     def lasts(self, since: float, until: float) -> float:
-        """Return the time between two positions at the planned speeds [s]."""
+        """Return the time [s] from one position to another at the planned speeds."""
         track = self.track
         return track.value(self.times, until) - track.value(self.times, since)
 
 
 def stopping_speed(room: float, speed: float) -> float:
-    """Return the desired speed for stopping within a distance [m], given the present speed [m/s]."""
+    """Return the desired speed [m/s] for stopping within a distance [m] at the present speed [m/s]."""
     if room <= 0.0:
         return 0.0
     return min(gap_speed(room), speed_for_braking(speed * speed / (2.0 * room), speed))
 
 
 def can_stop(room: float, speed: float) -> bool:
-    """Return whether a vehicle at a speed [m/s] can stop within a distance [m]."""
+    """Return whether a vehicle that drives at a speed [m/s] can stop within a distance [m]."""
     return room >= BUILDING_UP * speed + speed * speed / (2.0 * BRAKING)
 
 
@@ -186,7 +186,7 @@ class JunctionDirector(BaseDirector):
         return npc
 
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
-        """Return the conflicts of a vehicle's path with other paths, and the vehicles that may be its leaders."""
+        # The conflicts of a vehicle's path with other paths, and the vehicles that can be ahead in its lane.
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
         mine, conflicts, leaders = names[number], [], []
         for other, theirs in enumerate(names):
@@ -304,12 +304,12 @@ class JunctionDirector(BaseDirector):
         return wanted
 
     def _speed_factor(self, npc: CrossingNpc, ego: Body) -> float:
-        """Return the factor by which an NPC changes its speed to enter its zone at the planned time."""
+        # The factor for an NPC's speed with which the NPC enters its zone at the planned time.
         left = npc.lasts(npc.x, npc.enters)
         return min(max(left / max(self._time_to_entry(npc, ego), 0.1), SLOWEST), FASTEST)
 
     def _time_to_entry(self, npc: CrossingNpc, ego: Body) -> float:
-        """Return the time until an NPC should enter its zone [s]."""
+        # The time [s] after which an NPC should enter its zone.
         now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
@@ -345,7 +345,7 @@ class JunctionDirector(BaseDirector):
         return npc.track.value(npc.speeds, npc.x) / max(npc.speed, LEAST_SPEED)
 
     def _time_to(self, vehicle: Body, place: float) -> float:
-        """Return the time until a vehicle reaches a position on its path at its current speed [s]."""
+        # The time [s] that a vehicle needs to reach a position on its path at its current speed.
         if isinstance(vehicle, CrossingNpc):
             npc = vehicle
             if place > npc.stands_at:
@@ -354,9 +354,9 @@ class JunctionDirector(BaseDirector):
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
-        """Limit a desired speed so that an NPC gives way if another one would reach a conflict at the same time [m/s].
+        """Limit a desired speed [m/s] so that an NPC gives way if another NPC would reach a conflict at the same time.
 
-        If both NPCs can wait, the NPC with the higher index waits. Otherwise, the NPC that can wait does.
+        If both NPCs can wait, the one with the higher index waits. If only one of them can wait, that one does.
         """
         for conflict in conflicts:
             theirs = self._vehicles[conflict.other]

@@ -1,7 +1,7 @@
-"""The director, which controls the NPCs according to their instructions, tick by tick.
+"""The director, which controls the NPCs tick by tick according to their instructions.
 
 The director starts each gene on time, replaces impossible cells at the start of a gene (paper, section 2.1), records
-arrivals, and makes NPCs give way to each other. It works only in road coordinates.
+arrivals, and makes NPCs give way to each other. All its positions are in road coordinates.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ BESIDE = 0.6  # smallest lateral gap of NPCs that drive side by side [m]; at a s
 NO_LANE = -1
 
 Start = tuple[float, tuple[float, float, float, float]]
-"""The start of a vehicle: the position along its path [m], and x [m], y [m], heading [rad] and speed [m/s]."""
+"""The start of a vehicle: the position [m] along its path, and a tuple of x [m], y [m], heading [rad] and speed [m/s].
+"""
 
 # The following numbers are for attentive traffic. Verdicts do not expect more of an NPC when the ego moves in ahead of
 # the NPC, or brakes there for no reason.
@@ -61,7 +62,7 @@ BETWEEN_LANES = 0.5  # distance from the centre of the target lane above which a
 
 
 class Npc(Body):
-    """An NPC in road coordinates, with its director's state for it."""
+    """An NPC in road coordinates, with the data that a director stores about it."""
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
@@ -91,21 +92,21 @@ class Npc(Body):
 class BaseDirector:
     """The base class of directors, which control the NPCs of one run.
 
-    Subclasses also have ``first_cells``, ``arrivals``, ``executed`` and ``driven_cells``, for the trace.
+    For the trace, subclasses also define ``first_cells``, ``arrivals``, ``executed`` and ``driven_cells``.
     """
 
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
 
     def started(self, starts: list[Start]) -> list[Start]:
-        """Return the starts of all NPCs, given the starts of the NPCs around the ego."""
+        """Add the starts of crossing NPCs, if any, to the starts of the NPCs around the ego, and return all starts."""
         return starts
 
     def command(self, ego: Body) -> None:
         """Set the controls of each NPC for the coming tick."""
 
     def ceiling(self, npc: Npc) -> float:
-        """Return the highest speed at which an NPC of another director avoids this director's NPCs [m/s]."""
+        """Return the highest speed [m/s] at which another director's NPC avoids this director's NPCs."""
         raise NotImplementedError
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
@@ -116,8 +117,9 @@ class BaseDirector:
 class Director(BaseDirector):
     """The director for straight roads.
 
-    ``cells`` contains the cells that exist for each lane of the ego, and ``clearance`` is the gap between the ego and
-    the cells ahead and behind [m]. If ``skips`` is true, steps on the ring skip cells that do not exist.
+    ``cells`` contains, for each lane of the ego, the cells that exist. ``clearance`` is the gap [m] between the ego and
+    the cells ahead and behind. If ``skips`` is true, NPCs that step from cell to cell around the ego skip cells that do
+    not exist.
     """
 
     def __init__(
@@ -183,7 +185,7 @@ class Director(BaseDirector):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the started genes as executed, and the later genes as requested."""
+        """The scenario, in which started genes are as executed, and later genes as requested."""
         scenario: Scenario = self._scenario
         on_grid, in_lanes = (
             [(done, gene) for npc in npcs for done, gene in zip(npc.executed, npc.chain, strict=False)]
@@ -195,16 +197,16 @@ class Director(BaseDirector):
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """The cells that the NPCs aimed for in their started genes. Empty if ``executed`` contains them."""
+        """The cells that the NPCs aimed for in their started genes, or an empty tuple if ``executed`` contains them."""
         return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """For each started gene of each NPC, the tick of the arrival, or None if the NPC has not arrived."""
+        """The tick at which each NPC arrived in each started gene, or None if the NPC has not arrived."""
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """Return the cells in which the NPCs start, after replacing invalid cells."""
+        """Return the cells in which the NPCs start, with impossible cells replaced."""
         existing = self._first_existing()
         # NPCs on the grid come first. The other NPCs get the remaining cells.
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
@@ -229,14 +231,14 @@ class Director(BaseDirector):
         self._tick += 1
 
     def _is_led(self, ego: Body) -> bool:
-        """Return whether any NPC is directly ahead of the ego, at any distance."""
+        # Whether any NPC is directly ahead of the ego, at any distance.
         for npc in self.npcs:  # noqa: SIM110  (any() makes a closure, which cannot be compiled)
             if npc.x > ego.x and abs(npc.y - ego.y) < (npc.width + ego.width) / 2.0 + TRACK:
                 return True
         return False
 
     def _remember(self, ego: Body) -> None:
-        """Store the ego's position and speed for delayed reactions."""
+        # Store the ego's position and speed, for delayed reactions of NPCs.
         seen = self._seen
         if self._tick == 0:  # before the first tick, the ego is assumed to have driven at its start speed
             for place in range(1, self._kept):
@@ -318,7 +320,7 @@ class Director(BaseDirector):
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:
-        """Return the position of an attentive NPC's cell along the road, relative to the ego [m]."""
+        # The position [m] along the road of an attentive NPC's cell, relative to the ego.
         if npc.row == 0 or npc.column != 0:
             return npc.target
         if npc.row < 0:  # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
@@ -326,15 +328,15 @@ class Director(BaseDirector):
         return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
-        """Return the gap that this driving style requires for moving in ahead of an ego at the same speed [m]."""
+        # The gap [m] that this driving style requires for moving in ahead of an ego at the same speed.
         return max(self._least_gap, self._time_gap * ego.speed)
 
     def _stretch(self, body: Body) -> float:
-        """Return the distance that a vehicle drives per metre along the road."""
+        # The distance that a vehicle covers per metre along the road.
         return 1.0
 
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
-        """Limit a desired speed according to the driving style and the gap to an ego ahead [m/s]."""
+        """Limit a desired speed [m/s] according to the driving style and the gap to an ego ahead."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
         is_behind = npc.x < ego.x and (
@@ -402,7 +404,7 @@ class Director(BaseDirector):
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the lane to steer to, which is one step towards the target lane if no vehicle obstructs it."""
+        """Return the lane to steer to, one closer to the target lane, or the present lane if there is no room."""
         lane = npc.lane
         if lane == target_lane:
             return lane
@@ -416,7 +418,7 @@ class Director(BaseDirector):
         return step
 
     def _clear_of(self, mine: Npc, theirs: Npc, lane: int) -> bool:
-        """Return whether the NPC ``theirs`` leaves room for the NPC ``mine`` to enter a lane."""
+        # Whether the NPC `theirs` leaves room for the NPC `mine` to enter a lane.
         reach = (self._lane_width + theirs.width) / 2.0 + theirs.longer * abs(theirs.heading)
         in_lane = abs(theirs.y - lane * self._lane_width) < reach
         claims = theirs.heading_for == lane and theirs.index < mine.index
@@ -459,9 +461,9 @@ class Director(BaseDirector):
 class NetworkDirector(Director):
     """The director for a :class:`NetworkRoad`.
 
-    NPCs enter only a lane that continues, and leave it before it ends. An NPC that cannot pass the ego in another lane
-    follows the ego. Bodies have a nominal lateral position, and a heading relative to the ego's path. The course of an
-    NPC is a direction in the world. ``others`` is the director of the crossing NPCs, or None.
+    NPCs enter only lanes that continue, and leave a lane before it ends. An NPC that cannot pass the ego in another
+    lane follows the ego. Bodies have a nominal lateral position, and a heading relative to the ego's path. An NPC's
+    ``course`` is a direction in the world. ``others`` is the director of the crossing NPCs, or None.
     """
 
     def __init__(
@@ -542,7 +544,7 @@ class NetworkDirector(Director):
         return self._bends.sharpest_at(goal, npc.x)
 
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
-        """Return the lane to steer to, and the desired speed for the instruction [m/s]."""
+        # The lane to steer to, and the desired speed [m/s] for the NPC's instruction.
         target_lane = ego.lane + npc.column
         stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
         along = self._target(npc, ego) if self._attentive else npc.target
@@ -568,7 +570,7 @@ class NetworkDirector(Director):
         return goal, wanted
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the next lane towards the target lane, or a neighbouring lane if the NPC's own lane ends."""
+        # The next lane towards the target lane, or a neighbouring lane if the NPC's own lane ends.
         wanted = self._step(npc, target_lane, ego)
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted

@@ -1,7 +1,7 @@
 """Cascaded controllers with hard limits, for NPCs and for the steering of a :class:`pytest_pafot.LaneCommand`.
 
-The paper moves NPCs "based on a PID controller" (section 2.1) but states no gains. With the gains in this module, a
-lane change at motorway speed takes two seconds without overshoot.
+In the paper, NPCs move "based on a PID controller" (section 2.1), but the gains are not stated. With the gains in this
+module, a lane change at motorway speed takes two seconds without overshoot.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST_SPARE = 0.15  # proportion of the lateral acceleration that a lane change 
 # overshoots, regardless of speed, frequency and limits. Larger numbers save at most a tenth of the time, but cause
 # overshoot of up to 0.2 m.
 LANE_ANGLE = 0.5
-"""The largest angle to the lane while a LaneCommand changes lanes, which equals the default limit of NPCs [rad]."""
+"""The largest angle [rad] to the lane during a LaneCommand's lane change, equal to the default limit for NPCs."""
 # proportion of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan
 TRACKING_SHARE = 0.4
 TRACKING_GAIN = 4.0  # lateral acceleration per unit of lateral speed error [1/s]; at most 0.5 / dt, for stability
@@ -47,47 +47,47 @@ HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 def gap_speed(distance: float) -> float:
-    """Return the speed relative to the ego at which an NPC closes the distance to its cell without overshoot [m/s]."""
+    """Return the speed [m/s] relative to the ego at which an NPC closes the distance to its cell without overshoot."""
     magnitude = min(GAP_GAIN * abs(distance), math.sqrt(2.0 * GAP_BRAKING * abs(distance)))
     return math.copysign(magnitude, distance)
 
 
 def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
-    """Return the highest speed that leaves room to stop behind a braking leader [m/s].
+    """Return the highest speed [m/s] that leaves room to stop behind a braking leader.
 
-    ``gap`` is measured from bumper to bumper [m].
+    ``gap`` [m] is measured from bumper to bumper.
     """
     room = gap - FOLLOWING_GAP - FOLLOWING_TIME * own_speed
     return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
 
 
 def following_gap(speed: float) -> float:
-    """Return the gap that an NPC keeps behind a leader at the same speed [m]."""
+    """Return the gap [m] that an NPC keeps behind a leader at the same speed."""
     return FOLLOWING_GAP + FOLLOWING_TIME * speed
 
 
 def speed_for_braking(braking: float, speed: float) -> float:
-    """Return the desired speed that makes an NPC brake with a given deceleration [m/s]."""
+    """Return the desired speed [m/s] that makes an NPC brake with a given deceleration."""
     return speed - braking / SPEED_GAIN
 
 
 def stopping_room(top_speed: float) -> float:
-    """Return the smallest gap to a stationary leader at which an NPC may drive at its top speed [m]."""
+    """Return the smallest gap [m] to a stationary leader at which an NPC may drive at its top speed."""
     return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
 
 
 def clear_to_enter(gap: float, closing_speed: float) -> bool:
     """Return whether an NPC may enter a lane in front of or behind another NPC.
 
-    The closing speed is the rear NPC's speed minus the front NPC's speed [m/s].
+    The closing speed [m/s] is the rear NPC's speed minus the front NPC's speed.
     """
     return gap > closing_room(3.0, closing_speed)
 
 
 def closing_room(gap: float, closing_speed: float) -> float:
-    """Return the gap that a vehicle needs to lose a closing speed without hard braking [m].
+    """Return the gap [m] that a vehicle needs to lose a closing speed without hard braking.
 
-    At equal speeds, it is ``gap``.
+    At equal speeds, the result is ``gap``.
     """
     closing = max(closing_speed, 0.0)
     return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
@@ -101,7 +101,7 @@ def clamp(value: float, bound: float) -> float:
 class NpcDriver:
     """The controller of an NPC's acceleration and steering.
 
-    ``course`` is the direction of motion after the last steering, relative to the lane [rad].
+    ``course`` is the direction [rad] of motion after the last steering, relative to the lane.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class NpcDriver:
         self.course = 0.0
 
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
-        """Return the acceleration towards a desired speed, within all limits [m/s^2]."""
+        """Return the acceleration [m/s^2] towards a desired speed, within all limits."""
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
@@ -156,10 +156,10 @@ class NpcDriver:
         return release if acceleration > release else acceleration
 
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
-        """Return the steering angle towards the centre of a lane, for highway-env's bicycle model [rad].
+        """Return the steering angle [rad] towards the centre of a lane, for highway-env's bicycle model.
 
-        ``offset`` is the distance to the right of the lane's centre [m]. ``heading`` and ``course``, the direction of
-        motion in the previous tick, are relative to the lane [rad].
+        ``offset`` is the distance [m] to the right of the lane's centre. ``heading`` [rad] and ``course`` [rad], the
+        direction of motion in the previous tick, are relative to the lane.
         """
         if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
             self.course = heading
@@ -169,13 +169,13 @@ class NpcDriver:
     def steering_in_bend(
         self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
     ) -> float:
-        """Return the steering angle towards the centre of a curved lane [rad].
+        """Return the steering angle [rad] towards the centre of a curved lane.
 
         Args:
             offset, heading, course, speed: as for :meth:`steering`.
-            lean: angle between the lane and a vehicle that follows it exactly [rad].
-            turn: heading change of that vehicle in the coming tick [rad].
-            sharpest: largest curvature of the lane within the length of a lane change [1/m].
+            lean: angle [rad] between the lane and a vehicle that follows the lane exactly.
+            turn: heading change [rad] of that vehicle in the coming tick.
+            sharpest: largest curvature [1/m] of the lane within the length of a lane change.
         """
         self.course = heading
         if speed < self._slow:
@@ -206,7 +206,7 @@ class NpcDriver:
 
 
 class LaneTracker:
-    """A controller that steers a car along and between lanes, within limits of lateral acceleration and jerk."""
+    """A controller that steers a car along and between lanes, within limits on lateral acceleration and jerk."""
 
     def __init__(self, length: float, dt: float) -> None:
         self._dt = dt
@@ -216,7 +216,7 @@ class LaneTracker:
         self._course = self._acceleration = self._angle = 0.0  # course is heading plus slip
 
     def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
-        """Start with a car's heading [rad], steering angle [rad], speed [m/s] and lateral limit [m/s^2]."""
+        """Start with a car's heading [rad], steering angle [rad] and speed [m/s], and its lateral limit [m/s^2]."""
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
         self._course = heading + slip - rate * self._dt
@@ -224,9 +224,9 @@ class LaneTracker:
         self._angle = angle
 
     def steering(self, offset: float, heading: float, speed: float, most: float, jerk: float) -> float:
-        """Return the steering angle for the coming tick, for highway-env's bicycle model [rad].
+        """Return the steering angle [rad] for the coming tick, for highway-env's bicycle model.
 
-        ``most`` and ``jerk`` limit lateral acceleration [m/s^2] and jerk [m/s^3].
+        ``most`` limits the lateral acceleration [m/s^2], and ``jerk`` limits the lateral jerk [m/s^3].
         """
         if speed < 0.01:
             self._acceleration = 0.0

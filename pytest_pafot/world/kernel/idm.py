@@ -1,8 +1,8 @@
 """highway-env's controlled vehicles, including vehicles with the Intelligent Driver Model (IDM) and MOBIL.
 
-:class:`GoalVehicle` is highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on a straight road, and
-:class:`NetworkVehicle` on any road. The equations equal highway-env's, operation by operation. NPCs are not IDM
-vehicles, so the model assumes that they desire their current speed.
+:class:`GoalVehicle` replaces highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on straight roads,
+and :class:`NetworkVehicle` replaces them on any road. The equations equal highway-env's, operation by operation. NPCs
+are not IDM vehicles, so the model takes their current speed as their desired speed.
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
@@ -71,7 +71,7 @@ class GoalVehicle(Body):
         self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that vehicles decide at different times
 
     def pursue(self) -> None:
-        """Set the controls for the coming tick to reach the goal, regardless of other vehicles."""
+        """Set the controls for the coming tick so that the vehicle pursues its goal, regardless of other vehicles."""
         self._follow_road()
         self.steering = self._steering()
         self.acceleration = self._kp_speed * (self.target_speed - self.speed)
@@ -103,10 +103,10 @@ class GoalVehicle(Body):
         return self._lanes.closest(vehicle.x, vehicle.y, vehicle.heading)
 
     def _follow_road(self) -> None:
-        """Switch to the next lane at the end of a lane."""
+        """At the end of a lane, switch to the next lane."""
 
     def _is_demanded(self, lane: int) -> bool:
-        """Return whether a lane is on the side that the route requires."""
+        # Whether a lane is on the side that the route requires.
         return False
 
     def _has_beside(self, lane: int, side: int) -> bool:
@@ -127,7 +127,7 @@ class GoalVehicle(Body):
         return lateral <= 2.0 * self._lanes.width and inside and abs(self.speed) >= 1.0
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
-        """Return whether MOBIL recommends a change to a lane."""
+        """Return whether MOBIL recommends changing to a lane."""
         ahead, behind = self._ahead(others, lane), self._behind(others, lane)
         behind_then = self._idm(behind, self)  # the new follower must not brake hard, even if a route requires it
         if behind_then < -self._max_imposed:
@@ -142,7 +142,7 @@ class GoalVehicle(Body):
         return own_gain + self._politeness * others_gain >= self._min_gain
 
     def _idm(self, vehicle: Body | None, front: Body | None) -> float:
-        """Return the acceleration of a vehicle behind ``front`` according to IDM [m/s^2]."""
+        # The acceleration [m/s^2] of a vehicle behind `front` according to IDM.
         if vehicle is None:
             return 0.0
         # other vehicles are assumed to desire their current speed
@@ -176,7 +176,7 @@ class GoalVehicle(Body):
         return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle ahead in a lane. Of several at the same position, the last one counts."""
+        """Return the nearest vehicle ahead in a lane. If several are at the same position, return the last one."""
         found = None
         for other in others:
             if (
@@ -189,7 +189,7 @@ class GoalVehicle(Body):
         return found
 
     def _behind(self, others: list[Body], lane: int) -> Body | None:
-        """Return the nearest vehicle behind in a lane. Of several at the same position, the first one counts."""
+        """Return the nearest vehicle behind in a lane. If several are at the same position, return the first one."""
         found = None
         for other in others:
             if other.x < self.x and (found is None or other.x > found.x) and _is_on(other, lane, self._lanes):
@@ -203,14 +203,15 @@ def _is_on(vehicle: Body, lane: int, lanes: Lanes) -> bool:
 
 
 class StaticObstacle(Body):
-    """A stationary object on the road, behind which other vehicles stop."""
+    """A stationary object on the road, behind which vehicles stop."""
 
 
 class NetworkVehicle(GoalVehicle):
     """A :class:`GoalVehicle` on a road of any shape.
 
-    ``following`` takes a lane and a vehicle's x and y [m]. It returns the next lane, and the lane that the route then
-    requires, counted from the left, or -1. ``route`` takes a lane, and returns the remaining lanes of the route.
+    ``following`` receives a lane and a vehicle's x [m] and y [m]. It returns the next lane, and the number from the
+    left of the lane that the route then requires, or -1. ``route`` receives a lane and returns the remaining lanes of
+    the route.
     """
 
     def __init__(
@@ -293,7 +294,7 @@ class NetworkVehicle(GoalVehicle):
         return found
 
     def _along(self, lane: int, other: Body) -> float:
-        """Return the position of a vehicle along a lane [m], or NaN if the vehicle is on none of the searched lanes."""
+        # A vehicle's position [m] along a lane, or NaN if the vehicle is on none of the searched lanes.
         network = self._network
         for each, begins in self._searched[lane]:
             if network.is_on(each, other.x, other.y, ON_LANE):
@@ -302,7 +303,7 @@ class NetworkVehicle(GoalVehicle):
 
 
 class EgosRoadRules:
-    """The right-of-way rules of highway-env's ``RegulatedRoad``, which only an ego with IDM obeys."""
+    """The right-of-way rules of highway-env's ``RegulatedRoad``, which only an ego with IDM follows."""
 
     def __init__(
         self,
@@ -386,7 +387,7 @@ class EgosRoadRules:
         return False
 
     def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
-        """Return whether a vehicle must yield to another one, which has a higher priority or is ahead."""
+        # Whether a vehicle must yield to another vehicle that has a higher priority or is ahead.
         mine, theirs = self._priorities[one.closest], self._priorities[one._lane_of(other)]
         if mine != theirs:
             return mine < theirs
@@ -413,7 +414,7 @@ def _has_corner_inside(
     other_length: float,
     other_width: float,
 ) -> bool:
-    """Return whether a corner, a side's midpoint or the centre of a box is inside another box, as in highway-env."""
+    """Return whether a corner, a side's midpoint or the centre of one box is inside another box, as in highway-env."""
     cos, sin = math.cos(heading), math.sin(heading)
     other_cos, other_sin = math.cos(other_heading), math.sin(other_heading)
     for along in range(-1, 2):

@@ -1,6 +1,6 @@
 """highway-env's road networks as arrays, and the Kinematics observation.
 
-The equations and the names of options are the same as in highway-env.
+Equations and option names are the same as in highway-env.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class Network:
 
     Args:
         kinds: the kind of each lane: 0 for straight, 1 for sine, 2 for circular.
-        shapes: nine values per lane, padded with zeros. A straight lane has the x and y of the start [m], a direction
-            vector and a heading [rad]. A sine lane also has an amplitude [m], a pulsation [rad/m] and a phase [rad]. A
-            circular lane has the x and y of the centre [m], a radius [m], a start phase [rad] and a direction (1 or
-            -1).
+        shapes: nine values per lane, padded with zeros. A straight lane has the x [m] and y [m] of its start, a
+            direction vector and a heading [rad]. A sine lane also has an amplitude [m], a pulsation [rad/m] and a phase
+            [rad]. A circular lane has the x [m] and y [m] of its centre, a radius [m], a start phase [rad] and a
+            direction (1 or -1).
         lengths, widths, speed_limits: length [m], width [m] and speed limit [m/s] of each lane.
         sections: the number of each lane's road section.
         numbers: the number of each lane in its section, from the left.
@@ -68,7 +68,7 @@ class Network:
         return 0 <= other < self.count and self._sections[lane] == self._sections[other]
 
     def locate(self, lane: int, x: float, y: float) -> None:
-        """Set ``along`` and ``across`` to a point's distance along a lane and to the right of its centre line [m]."""
+        """Set ``along`` and ``across`` to a point's distances [m] along a lane and to the right of its centre line."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         dx, dy = x - self._shapes[row], y - self._shapes[row + 1]
         if kind == CIRCULAR:
@@ -85,7 +85,7 @@ class Network:
             self.across -= self._sideways(row)
 
     def position(self, lane: int, along: float, across: float) -> None:
-        """Set ``x`` and ``y`` to the point at a distance along a lane and to the right of its centre line [m]."""
+        """Set ``x`` and ``y`` to the point at given distances [m] along a lane and to the right of its centre line."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             radius, start, turn = self._shapes[row + 2], self._shapes[row + 3], self._shapes[row + 4]
@@ -104,7 +104,7 @@ class Network:
         return self._shapes[row + 5] * math.sin(self._shapes[row + 6] * self.along + self._shapes[row + 7])
 
     def heading_at(self, lane: int, along: float) -> float:
-        """Return a lane's direction at a distance from its start [rad]."""
+        """Return a lane's direction [rad] at a distance from its start."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             turn = self._shapes[row + 4]
@@ -116,7 +116,7 @@ class Network:
         return heading
 
     def closest(self, x: float, y: float, heading: float) -> int:
-        """Return the first lane with the smallest sum of distance [m] and angle [rad] to a vehicle."""
+        """Return the lane with the smallest sum of distance [m] and angle [rad] to a vehicle; the first of several."""
         best, nearest = math.inf, 0
         for lane in range(self.count):
             self.locate(lane, x, y)
@@ -129,7 +129,7 @@ class Network:
         return nearest
 
     def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
-        """Locate a point, and return whether it is on a lane that is widened by a margin on each side [m]."""
+        """Locate a point, and return whether it is on a lane that is widened on each side by ``margin`` [m]."""
         self.locate(lane, x, y)
         inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
         return inside and abs(self.across) <= self._widths[lane] / 2.0 + margin
@@ -149,12 +149,12 @@ class Network:
 
 
 def wrap_angle(angle: float) -> float:
-    """Wrap an angle to [-pi, pi) [rad]."""
+    """Wrap an angle [rad] to [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 class Table:
-    """The Kinematics observation, with the features of the ego and of the nearest vehicles along its lane."""
+    """The Kinematics observation, with the features of the ego and of the nearest vehicles along the ego's lane."""
 
     def __init__(
         self, network: Network, lanes: dict[Any, int], options: Any, ranges: Mapping[str, Sequence[float]]
@@ -176,10 +176,10 @@ class Table:
         self._sees_intentions: bool = options.observe_intentions
 
     def observe(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int) -> Any:
-        """Return the observation as float32 of shape [vehicles, features].
+        """Return the observation as a float32 array of shape [vehicles, features].
 
         The ego observes vehicles up to ``reach`` [m] away. Unless ``exit_lane`` is -1, the ego's x is measured along
-        that lane.
+        ``exit_lane``.
         """
         values, network, count = self._values, self._network, len(vehicles)
         near = self._nearest(ego, vehicles, objects, reach)

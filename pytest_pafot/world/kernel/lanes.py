@@ -12,7 +12,7 @@ ALMOST = 1e-6  # distance from a lane line below which rounding matters, so that
 
 
 class Lanes:
-    """Parallel straight lanes of equal length and width [m], numbered from the left."""
+    """Parallel straight lanes of equal length [m] and width [m], numbered from the left."""
 
     def __init__(self, count: int, width: float, length: float) -> None:
         self.count = count
@@ -24,7 +24,7 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane, and return the lane, or -1 if the body is off the road.
+        """Set a body's nearest lane and return it, or return -1 if the body is off the road.
 
         If two lanes are equally near, the left one is used. highway-env's vehicles use :meth:`closest` instead.
         """
@@ -43,7 +43,7 @@ class Lanes:
         return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
-        """Return the first lane with the smallest sum of distance [m] and angle [rad], as highway-env does."""
+        """Return the lane with the smallest sum of distance [m] and angle [rad], as highway-env does."""
         # A vehicle that is well inside a lane is nearest to that lane. Otherwise, all lanes are compared.
         near = int(across / self.width + 0.5) if across > 0.0 else 0
         if near < self.count and abs(across - near * self.width) < self._inside:
@@ -66,7 +66,7 @@ ON_LANE = 1e-6  # rounding tolerance at the edges of a lane [m]
 class Bends:
     """The lanes along a curved line, with values at each point of the line.
 
-    Lists with values for several lanes contain all points of the first lane first.
+    In lists with values for several lanes, all points of the first lane come first.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Bends:
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
-        """Return the index of the point nearest to a position, or the even index if two points are equally near."""
+        """Return the index of the point nearest to a position. If two are equally near, return the even one."""
         return min(max(even_rounded(along / STEP), 0), self._points - 1)
 
     def exists(self, lane: int, along: float) -> bool:
@@ -129,13 +129,13 @@ class Bends:
         return index
 
     def _value(self, values: array[float], lane: int, along: float) -> float:
-        """Interpolate a lane's value, which is constant before the start and after the end."""
+        """Interpolate a lane's values, which are constant before its start and after its end."""
         index = self._between(along) + lane * self._points
         share = min(max(self._share, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
     def across_at(self, lane: int, along: float) -> float:
-        """Return the distance of a lane's centre to the right of the line [m]."""
+        """Return the distance [m] of a lane's centre to the right of the line."""
         return self._value(self._across, lane, along)
 
     def pose(self, lane: int, along: float) -> tuple[float, float, float]:
@@ -162,7 +162,7 @@ class Bends:
         return self._value(self._speed, lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Return the distance that a vehicle drives per metre of the line: more than 1 on the outside of a bend."""
+        """Return the distance that a vehicle covers per metre of the line: above 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
         return max(1.0 - bend * across, 0.2)  # without the limit, zero or negative past the centre of a bend
@@ -178,7 +178,7 @@ class Bends:
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
         """Locate a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
 
-        ``near`` is a position close to the vehicle [m], because a road can cross itself.
+        ``near`` is a position [m] close to the vehicle, which is needed because a road can cross itself.
         """
         along = near
         for _ in range(4):  # each step projects onto the tangent at the last position, which converges even in bends
@@ -201,7 +201,7 @@ class Bends:
         self.offset = across - self._value(self._across, nearest, along)
 
     def in_lanes(self, lane: int, along: float, offset: float) -> float:
-        """Return the nominal lateral position of a vehicle with an offset from a lane's centre [m]."""
+        """Return the nominal lateral position [m] of a vehicle with a given offset from a lane's centre."""
         # offsets are scaled so that the centre of the neighbouring lane is one nominal lane width away
         toward = lane + (1 if offset > 0.0 else -1)
         scale = 1.0
@@ -211,14 +211,14 @@ class Bends:
         return lane * self._lane_width + offset * scale
 
     def part(self, lane: int, along: float, offset: float) -> int:
-        """Return the index of a vehicle's lane in Trace.lanes, or -1 if the vehicle is on no lane of the path."""
+        """Return the index in Trace.lanes of a vehicle's lane, or -1 if the vehicle is on no lane of the path."""
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]
         return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
 
     def nearest_lane(self, lateral: float) -> int:
-        """Return the lane with the centre nearest to a nominal lateral position."""
+        """Return the lane with its centre nearest to a nominal lateral position."""
         nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a float in C)
         return min(max(nearest, 0), self._lanes - 1)
 
@@ -260,7 +260,7 @@ class Track:
         return min(max(int(along / STEP + 0.5), 0), self._last)
 
     def locate(self, x: float, y: float, near: float) -> None:
-        """Locate a vehicle close to a position [m], and set ``along``, ``across`` and ``direction``."""
+        """Locate a vehicle near a position [m] on the path, and set ``along``, ``across`` and ``direction``."""
         place = near
         for _ in range(4):  # as in Bends.locate, with the tangent at the last position
             index = min(max(int(place / STEP), 0), self._last - 1)
@@ -287,14 +287,14 @@ class Track:
         )
 
     def value(self, values: array[float], along: float) -> float:
-        """Interpolate the values of an array, which are constant before the start and after the end."""
+        """Interpolate the values of an array, which are constant before the path's start and after its end."""
         index = min(max(int(along / STEP), 0), self._last - 1)
         share = min(max(along / STEP - index, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
 
 def even_rounded(exact: float) -> int:
-    """Return the nearest integer, or the even one if two are equally near."""
+    """Round to the nearest integer, or to the even one if two are equally near."""
     below = int(math.floor(exact))  # noqa: RUF046  (a float in C)
     rest = exact - below
     return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below

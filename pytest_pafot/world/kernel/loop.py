@@ -2,8 +2,8 @@
 # Bounds are not checked, because `_note` makes one check for all values of a tick.
 """The loop that simulates a run, for every kind of road and ego.
 
-In each tick, the ego's driver first decides if a decision is due, and sets the ego's controls. Then the director sets
-the controls of the NPCs, which see the ego at its position in the last tick. Then all vehicles move and are recorded.
+In each tick, the ego's driver makes a decision if one is due, and sets the ego's controls. The director then sets the
+controls of the NPCs, which see the ego at its position in the last tick. Next, all vehicles move and are recorded.
 Contacts are checked last, so the last row of a record contains the contact. Row 0 contains the start.
 """
 
@@ -33,7 +33,7 @@ from pytest_pafot.world.kernel.places import Places
 
 
 class EgoDriver:
-    """The base class of drivers of the ego in one run."""
+    """The base class of drivers that control the ego in one run."""
 
     def __init__(self, ego: Body, every: int) -> None:
         self.ego = ego
@@ -42,7 +42,7 @@ class EgoDriver:
         self.slowest = 0.0  # duration of the longest decision [s]
 
     def decide(self, tick: int) -> AdsError | None:
-        """Call the ADS for its next decision, and return its error, or None.
+        """Call the ADS for its next decision, and return the error that it raised, or None.
 
         A driver without an ADS does nothing.
         """
@@ -52,7 +52,7 @@ class EgoDriver:
         """Set the ego's controls for the coming tick."""
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the ego by one tick of ``dt`` seconds, and return the error of the ADS, or None."""
+        """Move the ego by one tick of ``dt`` seconds, and return the ADS's error, or None."""
         self.ego.step(dt)
         return None
 
@@ -60,7 +60,7 @@ class EgoDriver:
 class ModelDriver(EgoDriver):
     """The driver of an ego that a driver model controls at every tick.
 
-    The model reacts to the vehicles and objects in ``others``, and obeys ``rules`` if the road has any.
+    The model reacts to the vehicles and objects in ``others``, and follows the road's ``rules``, if any.
     """
 
     def __init__(self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None) -> None:
@@ -80,7 +80,7 @@ class ModelDriver(EgoDriver):
 
 
 class GivenDriver(EgoDriver):
-    """A driver that executes decisions: acceleration [m/s^2] and steering [rad], or a :class:`LaneCommand`."""
+    """A driver that executes decisions: acceleration [m/s^2] and steering angle [rad], or a :class:`LaneCommand`."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class GivenDriver(EgoDriver):
         return self._sensor.observation(tick)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Check and apply an action that took the ADS ``seconds``.
+        """Check and apply an action, for which the ADS took ``seconds``.
 
         Raises:
             BadAction: if the action is invalid.
@@ -143,7 +143,7 @@ class GivenDriver(EgoDriver):
         self.slowest = max(self.slowest, seconds)
 
     def actuate(self) -> None:
-        """Set the controls for the coming tick from the last decision, without reversing."""
+        """Set the controls for the coming tick from the last decision, so that the ego does not reverse."""
         ego = self.ego
         if self._lane >= 0:
             across, heading = self._place.y, self._place.heading
@@ -168,7 +168,7 @@ class GivenDriver(EgoDriver):
 class PlannerDriver(GivenDriver):
     """A driver that calls an ADS with observations, and executes the actions that the ADS returns.
 
-    The items of ``decisions`` replace the first calls of the ADS.
+    The items of ``decisions`` are used in place of the first calls of the ADS.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class PlannerDriver(GivenDriver):
 
         Raises:
             BadAction: if a given decision is not a valid action.
-            OutOfTime: if the time of the search has run out.
+            OutOfTime: if the search has run out of time.
         """
         taken = len(self.actions)
         if taken < self._given:
@@ -228,7 +228,7 @@ class PlannerDriver(GivenDriver):
 class Loop:
     """The loop that simulates one run.
 
-    Engines can have their own vehicles, with the attributes of :class:`Body`. An engine with its own loop calls
+    Engines can use their own vehicles, with the attributes of a :class:`Body`. An engine with its own loop calls
     :meth:`command` before it moves the vehicles, and :meth:`moved` afterwards.
     """
 
@@ -256,11 +256,11 @@ class Loop:
 
     @property
     def is_over(self) -> bool:
-        """True after a contact, when a vehicle has reached the end of the road, or when the ego has left the road."""
+        """Whether a contact has occurred, a vehicle has reached the end of the road, or the ego has left the road."""
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
-        """Simulate until the run is over, tick ``ticks`` is reached or the ADS fails, and return the ADS's error."""
+        """Simulate until the run ends, tick ``ticks`` is reached or the ADS fails. Return the ADS's error or None."""
         due = 0
         while self.tick < ticks:
             if due == 0:
@@ -313,7 +313,7 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Return whether a vehicle touches another one or a fixed object, and record whether the ego is involved."""
+        """Return whether a vehicle touches another vehicle or a fixed object. Record whether the ego is involved."""
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
         # Contacts of the ego are checked first, and contacts between vehicles before contacts with objects.

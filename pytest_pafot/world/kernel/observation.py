@@ -1,5 +1,5 @@
 # cython: initializedcheck=False, wraparound=False
-"""Read-only observations in SI units, which are computed lazily, and the sensors that create them."""
+"""Read-only observations in SI units, computed lazily, and the sensors that create them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ class VehicleState(NamedTuple):
     """The state of a vehicle, as far as it can be measured from outside.
 
     Attributes:
-        x, y: position of the centre [m]. x is along the road. y is to the right, from the centre of the leftmost lane.
-        heading: heading [rad], 0 along the road, positive to the right.
+        x, y: position [m] of the centre. x is measured along the road, and y to the right, from the centre of the
+            leftmost lane.
+        heading: heading [rad], which is 0 along the road and positive to the right.
         speed: speed [m/s].
         lane: number of the nearest lane, counted from 0 at the left.
-        length, width: size [m].
+        length, width: length [m] and width [m].
     """
 
     x: float
@@ -55,7 +56,7 @@ _Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehi
 
 
 def lateral_velocity(heading: float, speed: float, steering: float) -> float:
-    """Return the lateral velocity of a vehicle's centre [m/s] from angles [rad] and a speed [m/s]."""
+    """Return the lateral velocity [m/s] of a vehicle's centre, given angles [rad] and a speed [m/s]."""
     return speed * math.sin(heading + math.atan(0.5 * math.tan(steering)))
 
 
@@ -69,7 +70,7 @@ class Sensor:
         self.along = self.across = self.heading = self.bend = 0.0
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at the current tick. On a straight road, an earlier tick is possible, too.
+        """Return the observation at the current tick. On a straight road, ``tick`` can also be an earlier tick.
 
         On a curved road, this also locates the ego, as the driver's steering requires.
         """
@@ -81,7 +82,7 @@ class Sensor:
 
 
 class Observer(Sensor):
-    """A sensor for straight roads, which computes observations from the record of the run."""
+    """A sensor for straight roads, which computes observations from the run's record."""
 
     def __init__(
         self,
@@ -125,7 +126,7 @@ class Observer(Sensor):
         return tuple(values)
 
     def fill(self, tick: int, values: FloatArray, run: int) -> None:
-        """Write all vehicles at a tick into an array of shape [runs, vehicles, 7], at index ``run``."""
+        """Write the states of all vehicles at a tick into an array of shape [runs, vehicles, 7], at index ``run``."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
             x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
@@ -154,19 +155,19 @@ class Observation:
     """The observation that a planner receives for one decision.
 
     Attributes:
-        time: time since the start of the run [s].
+        time: time [s] since the start of the run.
         ego: vehicle that the planner drives.
-        others: NPCs; at a junction, only NPCs on the ego's path.
+        others: NPCs. At a junction, only the NPCs on the ego's path.
         lanes: number of lanes.
-        lane_width: width of each lane [m].
-        speed_limit: speed limit of the fastest lane [m/s].
-        decision_period: time between two decisions [s].
-        acceleration, steering: acceleration [m/s^2] and steering angle [rad] of the ego in the last tick; 0 at the
+        lane_width: width [m] of each lane.
+        speed_limit: speed limit [m/s] of the fastest lane.
+        decision_period: time [s] between two decisions.
+        acceleration, steering: the ego's acceleration [m/s^2] and steering angle [rad] in the last tick, or 0 at the
             start.
-        lateral_velocities: lateral velocities of the ego and the others, positive to the right [m/s].
+        lateral_velocities: lateral velocities [m/s] of the ego and the others, positive to the right.
         ids: index in ``run.npcs`` of each vehicle in ``others``.
-        lane_centres: position y of each lane's centre, from the left [m].
-        road_length: position x of the end of the lanes [m]. They start at x = 0.
+        lane_centres: y-coordinate [m] of each lane's centre, from the left.
+        road_length: x-coordinate [m] of the end of the lanes, which start at x = 0.
         crossing: NPCs on paths that cross the ego's path (:class:`pytest_pafot.CrossingVehicle`). ``ids`` and ``array``
             do not contain these NPCs.
     """
@@ -272,7 +273,7 @@ class Observation:
 
     @property
     def array(self) -> FloatArray:
-        """The ego and then the others as float64 of shape [vehicles, 7], with the columns of :class:`VehicleState`."""
+        """The ego and then the others, as a float64 array of shape [vehicles, 7] with :class:`VehicleState` columns."""
         values: FloatArray = stacked([self])[0]
         return values
 
@@ -304,7 +305,7 @@ class Observation:
         return hash(self._values())
 
     def replace(self, **changes: Unpack[Fields]) -> Observation:
-        """Return a copy with new values for some fields, for example ``others=()``.
+        """Return a copy of the observation with new values for some fields, for example ``others=()``.
 
         If ``ego`` or ``others`` changes, missing lateral velocities are computed as if all wheels were straight. If the
         number of ``others`` changes, missing ids are counted from 0.
@@ -330,7 +331,7 @@ class Observation:
 def stacked(observations: Sequence[Observation]) -> FloatArray:
     """Stack observations into a float64 array of shape [observations, vehicles, 7].
 
-    The columns are those of :attr:`Observation.array`. Rows for missing vehicles are NaN.
+    The columns are those of :attr:`Observation.array`. Rows for missing vehicles contain NaN.
     """
     most = max([seen._count() for seen in observations])
     made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)
@@ -341,10 +342,10 @@ def stacked(observations: Sequence[Observation]) -> FloatArray:
 
 
 class RoadSensor(Sensor):
-    """A sensor for curved roads, which computes observations from the record of the run.
+    """A sensor for curved roads, which computes observations from the run's record.
 
-    In observations, x is along the ego's path, and y is the nominal position across it (see :class:`NetworkRoad`).
-    Distances are the distances to drive, and headings are relative to a vehicle that follows the lane.
+    In observations, x is along the ego's path, and y is the nominal lateral position (see :class:`NetworkRoad`).
+    Distances are driving distances, and headings are relative to a vehicle that follows the lane.
     """
 
     def __init__(
@@ -447,7 +448,7 @@ class RoadSensor(Sensor):
         )
 
     def _state(self, number: int, speed: float, steering: float, own: float, stretch: float) -> VehicleState:
-        """Return the state of the vehicle that was located last, on the straightened road."""
+        # The state, on the straightened road, of the vehicle that was located last.
         bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
         along, lane = bends.along, bends.lane
         # the mean of the stretches at both vehicles applies to the distance

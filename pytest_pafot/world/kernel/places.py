@@ -1,4 +1,4 @@
-"""The positions of vehicles on the road, which are updated after each tick."""
+"""The positions of all vehicles on the road, updated after each tick."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRACK_COLUMNS = 5  # values per vehicle and tick in Trace.track
 class Places:
     """The positions of all vehicles of a run.
 
-    On a curved road, vehicles are tracked from tick to tick, because a road can cross itself or go in circles.
+    On a curved road, vehicles are tracked from tick to tick, because the road can cross itself or be a circle.
     """
 
     def __init__(

@@ -1,7 +1,8 @@
-"""Paths of crossing traffic through a network, and the zones in which they conflict with the ego's path and each other.
+"""Paths of crossing traffic through a network, and the zones of conflict with the ego's path and each other.
 
 A path leads from a section without a predecessor, through consecutive sections, to a section without a successor. Paths
-that start in a section of the ego's path are excluded, because vehicles that start there drive on the grid.
+that start in a section of the ego's path are excluded, because vehicles that start there are controlled relative to the
+ego.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossingWay:
-    """A path of crossing traffic, with its geometry."""
+    """A path of crossing traffic, with the path's geometry."""
 
     way: Way
     line: Line  # from the entry to the exit
@@ -90,7 +91,7 @@ class CrossingWay:
     along_ego: list[float]  # position of each point along the ego's path [m]; NaN if far from it or turned away
 
     def for_vehicle(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
-        """Return the path with the zone and speeds for a type of vehicle."""
+        """Return this path with the zone and the speeds for a vehicle type."""
         if vehicle == CAR:
             return self
         own = limits.of(vehicle)
@@ -130,13 +131,13 @@ class Junction:
         return self  # immutable, and highway-env deep-copies the road to predict vehicles
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
-        """Return the sections of both paths in which they conflict."""
+        """Return, for each conflict between two paths, the section of each path."""
         if (theirs, mine) in self.meetings:
             return [(own, its) for its, own in self.meetings[theirs, mine]]
         return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
-        """Return the position along ``mine`` of each point of ``theirs`` [m], or None if they share no lane."""
+        """For each point of ``theirs``, return the position [m] along ``mine``. Return None if they share no lane."""
         if mine == theirs and mine != EGOS:
             return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
         return self.shared.get((mine, theirs))
@@ -153,7 +154,7 @@ class JunctionRoad(NetworkRoad):
         return self.junction.crossings
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
-        """Return the path of each crossing NPC for its type of vehicle, and None for the other NPCs."""
+        """Return each crossing NPC's path, adapted to the NPC's vehicle type, and None for the other NPCs."""
         return [
             None if each is None else self.junction.ways[each.zone].for_vehicle(scenario.vehicle_of(npc), self.limits)
             for npc, each in enumerate(scenario.crossings)
@@ -185,9 +186,9 @@ class JunctionRoad(NetworkRoad):
 
 
 def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
-    """Add crossing and joining paths to a road, or return the same road if there are none.
+    """Add the crossing and joining paths to a road, or return the road unchanged if there are none.
 
-    The ego's start may be moved back, so that the ego has time before the first zone.
+    If necessary, the ego's start is moved back, so that the ego has time before the first zone.
     """
     junction = _junction_of(env, road, limits, ego)
     if junction is None:
@@ -234,7 +235,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
-    """Return the shortest path of each name that crosses or joins the ego's path ahead of the ego's start."""
+    """Return, by name, the shortest paths that cross or join the ego's path ahead of the ego's start."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
         name = f"{path[0][0]}>{path[-1][1]}"
@@ -260,7 +261,7 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
 
 
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
-    """Yield the paths through a network as sections, the shortest first. No path visits a node twice."""
+    """Yield the paths through a network as tuples of sections, the shortest first. No path visits a node twice."""
     follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
     for section, following in follow.items():  # a section follows another one if any of their lanes do
         lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
@@ -282,7 +283,7 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
-    """Return the index in ``Trace.lanes`` of the lane at each point of a path."""
+    # Return, for each point of a path, the index in `Trace.lanes` of the lane there.
     others = {index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)}
     parts = np.full(len(line.x), -1)
     for number, piece in enumerate(pieces):
@@ -304,7 +305,7 @@ def _course(line: Line, column: Column) -> Course:
 
 
 def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
-    """Return all pairs of points of two courses at which widened boxes might touch, in the order of course ``b``."""
+    """Return all pairs of points of two courses at which widened boxes might touch, ordered by course ``b``."""
     reach = math.hypot(CAR.length, CAR.width + WIDER)
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]
@@ -324,7 +325,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 
 
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
-    """Return, for each pair of points, whether vehicles there touch if they are widened by ``wider`` [m]."""
+    """Return, for each pair of points, whether vehicles at these points touch if they are widened by ``wider`` [m]."""
     i, j = pairs
     length, width = CAR.length, CAR.width + wider
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
@@ -348,7 +349,7 @@ class Meeting(NamedTuple):
 
 
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
-    """Yield the conflicts between two paths in the order of the second path."""
+    """Yield the conflicts between two paths, ordered along the second path."""
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
     # consecutive points of both paths at which widened boxes touch are one conflict
@@ -389,9 +390,10 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
 
 
 def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
-    """Return the position along path ``a`` of each point of path ``b`` [m], or NaN.
+    """Return, for each point of path ``b``, the position [m] along path ``a``, or NaN.
 
-    ``beside`` [m] and ``turned`` [rad] are the largest distance and angle.
+    The result is NaN if the paths are at least ``beside`` [m] apart at that point, or at an angle of at least
+    ``turned`` [rad].
     """
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
@@ -404,7 +406,7 @@ def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: floa
 
 
 def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
-    """Return the speeds along a path that result from desired speeds and the lag of the speed control [m/s]."""
+    """Return an NPC's speeds [m/s] along a path, given the desired speeds and the lag of the speed control."""
     wanted = speeds.tolist()
     driven = wanted[:1]
     for speed in wanted[1:]:
@@ -430,7 +432,7 @@ def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], 
 
 
 def _origin(turned: float) -> Origin:
-    """Return the side from which a vehicle comes, given its direction relative to the ego's direction [rad]."""
+    # The side from which a vehicle comes, given the angle [rad] from the ego's direction to the vehicle's.
     if abs(turned) > OPPOSITE:
         return "ahead"
     if abs(turned) < ALONGSIDE:
@@ -441,7 +443,7 @@ def _origin(turned: float) -> Origin:
 def _holder(
     network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
 ) -> Holder:
-    """Return which vehicle has priority in a conflict."""
+    # Which vehicle has priority in a conflict.
     own, other = (
         _lane_before(line, lanes, point, {index[:2] for index in others})
         for (line, lanes), (_, others), point in zip((ego, npc), (npc, ego), met.closest, strict=True)
@@ -460,7 +462,7 @@ def _holder(
 
 
 def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
-    """Return the lane of a path at a point, or the last lane before the point that the other path does not share."""
+    # The lane of a path at a point, or the last lane before that point that the other path does not share.
     number = int(line.piece[point])
     while number > 0 and lanes[number][:2] in others:
         number -= 1
@@ -468,7 +470,7 @@ def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set
 
 
 def _circulates(network: Any, lane: LaneIndex) -> bool:
-    """Return whether the road leads from the end of a lane back to its start."""
+    # Whether the road from the end of a lane leads back to the lane's start.
     seen, queue = {lane[1]}, deque([lane[1]])
     while queue:
         for end in network.graph.get(queue.popleft(), {}):

@@ -1,9 +1,9 @@
-"""Roads of any shape in the coordinates of the grid, which are along the ego's path and across its lanes.
+"""Roads of any shape, in grid coordinates: along the ego's path and across its lanes.
 
-At every half metre of the path, the other lanes of the same road section count as next to it, as in highway-env's
+At every half metre of the path, the other lanes of the same road section count as next to the path, as in highway-env's
 ``side_lanes``. Lanes are numbered from the left. The ego's path has the same number from start to end, and other lanes
-may be shorter. The nominal lateral position of the centre of lane ``k`` is always ``k`` times the lane width, wherever
-the lane really is.
+can be shorter. The nominal lateral position of the centre of lane ``k`` is always ``k`` times the lane width,
+regardless of the lane's real position.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ SPEED_LAG = 1 / 1.5  # lag of the speed control behind a steadily falling target
 def allowed_speeds(
     curvature: FloatArray, limit: FloatArray, stops: float | None, lengths: FloatArray, limits: NpcLimits
 ) -> FloatArray:
-    """Return the highest speed of an NPC at each point of a lane [m/s].
+    """Return the highest speed [m/s] of an NPC at each point of a lane.
 
-    The arrays contain curvature [1/m], speed limit [m/s] and length along the lane [m]. NPCs must stop at the length
-    ``stops``, unless it is None.
+    ``curvature`` is in 1/m, ``limit`` in m/s and ``lengths``, the positions along the lane, in m. NPCs must stop at the
+    position ``stops`` [m], unless it is None.
     """
     with np.errstate(divide="ignore"):
         bend = np.sqrt(BEND_SHARE * limits.lateral_acceleration / np.abs(curvature))
@@ -59,14 +59,14 @@ def allowed_speeds(
 
 
 def _of_windows(extreme: np.ufunc, values: FloatArray, ends: npt.NDArray[np.intp]) -> FloatArray:
-    """Return the smallest or largest value from each point to the end of its window."""
+    # The smallest or largest value between each point and the end of its window.
     bounds = np.stack([np.arange(len(values)), ends], axis=-1).ravel()
     windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]  # windows may end after the last
     return windows
 
 
 def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> FloatArray:
-    """Return the angle between a lane and a vehicle that follows it exactly, by highway-env's bicycle model [rad]."""
+    """Return the angle [rad] between a lane and a vehicle that follows it exactly, by highway-env's bicycle model."""
     # The rear axle is half a length behind the centre and moves in the direction of the heading. So the heading turns
     # by sin(direction - heading) / (length / 2) per metre.
     lean = [0.0]
@@ -78,7 +78,7 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
 
 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
-    """Return the largest curvature within a distance ahead of each point of a lane [1/m]."""
+    """Return the largest curvature [1/m] within a given distance ahead of each point of a lane."""
     return _of_windows(np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right"))
 
 
@@ -98,7 +98,7 @@ class Column:
 
 
 Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
-"""A function that creates the lanes for driving and for a trace, given the limits and the length of an NPC [m]."""
+"""A function that creates the lanes for driving and for a trace, given the limits and the length [m] of an NPC."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +124,7 @@ class NetworkRoad(Road):
 
     @cached_property
     def end(self) -> float:
-        """The length of the road, which is the position at which it ends [m]."""
+        """The length [m] of the road, and thus the position at which it ends."""
         return (len(self.line.x) - 1) * STEP
 
     @property
@@ -144,7 +144,7 @@ class NetworkRoad(Road):
         return {}
 
     def bends_of(self, vehicle: VehicleType) -> Bends:
-        """Return the lanes with the speeds and leans for a type of vehicle."""
+        """Return the lanes along the ego's path, with the speeds and leans of a vehicle type."""
         if vehicle == CAR:
             return self.bends
         key = self.limits.of(vehicle), vehicle.length
@@ -165,16 +165,16 @@ class NetworkRoad(Road):
         return Bends(points, (exists, part), (across, direction, lean, speed, sharpest), widths, self.lane_width)
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
-        """Return the cells with centres on lanes around an ego, given the distance between rows [m]."""
+        """Return the cells around an ego that have their centres on lanes, given the distance [m] between rows."""
         return frozenset(cell for cell in Cell if self.has_lane(ego_lane + cell.column, along + cell.row * rows))
 
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
     def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
-        """Return the lane of an ego that is on no lane of its path, and the outcome if the run ends.
+        """Return the lane of an ego that is on no lane of its path, and the outcome, or None if the run continues.
 
-        ``lane`` and ``along`` are the nearest lane of the path and the position along it [m].
+        ``lane`` is the nearest lane of the path, and ``along`` [m] is the position along the path.
         """
         on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
         # if the ego is next to its lanes, but in a section of its path, the run continues
@@ -295,7 +295,7 @@ LaneIndex = tuple[str, str, int]
 Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
-"""The distance between neighbouring points of a line [m]."""
+"""The distance [m] between neighbouring points of a line."""
 WIDEST_GAP = 10.0  # largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
 SHARPEST_BEND = 1.3  # largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
 DECIDED_BEFORE = 2.5  # distance before a lane's end at which highway-env's vehicles choose the next lane [m]
@@ -306,7 +306,7 @@ BLEND = 3.0  # length scale over which the joint of two lanes is rounded off, on
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The part of a lane that belongs to a path, from ``begin`` to ``end`` in the lane's own coordinate [m]."""
+    """The part of a lane that belongs to a path, from ``begin`` [m] to ``end`` [m] along the lane."""
 
     index: LaneIndex
     lane: Any
@@ -318,7 +318,7 @@ class Piece:
 class Line:
     """The line along which positions on a road are measured, with a point every 0.5 m.
 
-    The heading has no jumps of 2 pi [rad], and ``piece`` contains the index of each point's piece.
+    The headings [rad] do not jump by 2 pi. ``piece`` contains the index of the piece to which each point belongs.
     """
 
     x: FloatArray
@@ -332,8 +332,8 @@ def way(
 ) -> tuple[tuple[Piece, ...], int]:
     """Return the pieces of the ego's path in driving order, and the index of the piece in which the ego starts.
 
-    The ego starts in lane ``start`` at ``at`` [m]. ``planned`` is its ``route`` in highway-env. The path covers the
-    distances ``ahead`` and ``behind`` [m] if the network continues that far.
+    The ego starts in lane ``start`` at the position ``at`` [m]. ``planned`` is the ego's ``route`` in highway-env. If
+    the network continues that far, the path extends ``ahead`` [m] and ``behind`` [m] from the start.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
     before: list[Piece] = []
@@ -353,7 +353,7 @@ def way(
 
 
 def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
-    """Return the next piece on the route, or the nearest drivable piece."""
+    # The next piece on the route, or the nearest drivable piece.
     origin, node, number = last.index
     point = last.lane.position(last.end, 0)
     deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)
@@ -372,12 +372,12 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
 
 
 def is_dead_end(network: Any, last: Piece) -> bool:
-    """Return whether a lane ends where the road continues in other lanes."""
+    """Return whether a lane ends at a point from which the road continues only in other lanes."""
     return bool(network.graph.get(last.index[1])) and _successor(network, last, ()) is None
 
 
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
-    """Return the nearest piece that leads to another piece."""
+    """Return the nearest piece from which a vehicle can drive to ``piece``."""
     point = np.asarray(piece.lane.position(0, 0))
     lanes = network.lanes_dict().items()
     leading = (Piece(index, lane, 0.0, float(lane.length)) for index, lane in lanes if index[1] == piece.index[0])
@@ -450,5 +450,5 @@ def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
 
 
 def wrap_angle(angle: Angle) -> Angle:
-    """Wrap an angle or an array of angles to [-pi, pi) [rad]."""
+    """Wrap an angle [rad], or an array of angles, to [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

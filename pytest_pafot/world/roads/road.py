@@ -1,6 +1,6 @@
 """The base class of roads, and the straight road.
 
-The coordinates of the grid are along the ego's path and across its lanes. Other code never checks the class of a road.
+Grid coordinates are along the ego's path and across its lanes. Other code never checks the class of a road.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""The kind of conflict of another road with the ego's path. A road that only branches off does not conflict."""
+"""The kind of conflict between another road and the ego's path. A road that only branches off does not conflict."""
 
 Pose = tuple[float, float, float]
 """The world x [m], y [m] and heading [rad] of a vehicle."""
 
 
 class Road(ABC):
-    """A road in the coordinates of the grid. By default, the ego can start in any lane, and no traffic crosses.
+    """A road in grid coordinates. By default, the ego can start in any lane, and no traffic crosses.
 
     Attributes:
-        lanes: all lanes as in a trace. The lanes along the ego's path come first, from the left.
-        lane_width: width of the ego's lane at the start [m].
-        speed_limit: speed limit of the fastest lane [m/s].
-        is_straight: true if a run continues when the ego leaves the road, false if the run ends.
+        lanes: all lanes as in a trace, starting with the lanes along the ego's path, from the left.
+        lane_width: width [m] of the ego's lane at the start.
+        speed_limit: speed limit [m/s] of the fastest lane.
+        is_straight: True if a run continues after the ego has left the road, False if the run then ends.
     """
 
     lanes: tuple[Lane, ...]
@@ -50,26 +50,26 @@ class Road(ABC):
 
     @property
     def length(self) -> float:
-        """The length that a run must not exceed [m], or infinity if a run may end at the end of the road."""
+        """The length [m] that a run must not exceed, or infinity if a run can end at the end of the road."""
         return math.inf
 
     @property
     def prescribed(self) -> tuple[int, float] | None:
-        """The required lane and speed [m/s] of the ego at the start, or None if both can be chosen."""
+        """The ego's required lane and speed [m/s] at the start, or None if both can be chosen."""
         return None
 
     @property
     def unused(self) -> frozenset[Meeting]:
-        """The kinds of conflicts that cannot occur, because no NPC drives on the other road."""
+        """The kinds of conflict that cannot occur, because no NPCs drive on the other roads."""
         return frozenset()
 
     @property
     def crossings(self) -> Crossings | None:
-        """The paths of other traffic that cross or join the ego's path, or None."""
+        """The paths of other traffic that cross or join the ego's path, or None if there are none."""
         return None
 
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
-        """Return the zone of each crossing NPC and None for each other NPC, or () if no NPC crosses."""
+        """Return each crossing NPC's zone and None for the other NPCs, or an empty tuple if no NPC crosses."""
         return ()
 
     # Positions.
@@ -84,46 +84,46 @@ class Road(ABC):
         return False
 
     def centre(self, lane: int) -> float:
-        """Return the nominal lateral position of a lane's centre [m]."""
+        """Return the nominal lateral position [m] of a lane's centre."""
         return lane * self.lane_width
 
     @abstractmethod
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
-        """Return the pose of a vehicle on the centre of a lane, at a position along the road [m]."""
+        """Return the pose of a vehicle at the centre of a lane, at a position [m] along the road."""
 
     @abstractmethod
     def has_lane(self, lane: int, along: float) -> bool:
-        """Return whether an NPC can start in a lane at a position along the road [m]."""
+        """Return whether an NPC can start in a lane at a position [m] along the road."""
 
     # Starts.
 
     @abstractmethod
     def ego_start(self, headway: float, clearance: float) -> float:
-        """Return the ego's start along the road [m] for a headway [s] and clearance [m] of NPCs."""
+        """Return the ego's start position [m] along the road, given the headway [s] and clearance [m] of NPCs."""
 
     @property
     @abstractmethod
     def start_lanes(self) -> Sequence[int]:
-        """The lanes in which the ego may start."""
+        """The lanes in which the ego can start."""
 
     @property
     @abstractmethod
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """The expected value, and a hint, for an error about the ego's lane."""
+        """The expected value and a hint, for an error message about the ego's lane."""
 
     @abstractmethod
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
         """Return the cells around the ego's start in which NPCs can start.
 
-        ``distance`` is the distance between rows [m].
+        ``distance`` [m] is the distance between rows.
         """
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
-        """Return whether a vehicle can follow all bends along the ego's path, or along the path of a zone."""
+        """Return whether a vehicle can follow all bends of the ego's path or of the path with the given zone."""
         return True
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
-        """Limit the start speed of an NPC to what the road allows [m/s]."""
+        """Limit the start speed [m/s] of an NPC to the speed that the road allows."""
         return wanted
 
     # The components of a run.
@@ -132,7 +132,7 @@ class Road(ABC):
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:
-        """Create the director of the NPCs, which may start in ``cells``."""
+        """Create the director of the NPCs, which can start in ``cells``."""
 
     @abstractmethod
     def places(
@@ -148,7 +148,8 @@ class Road(ABC):
         """Create the object that tracks all vehicles on this road during a run.
 
         ``vehicles`` are in world coordinates and ``bodies`` in road coordinates, both with the ego first. ``starts``
-        contains their start positions along their paths [m]. ``stock_road`` returns the matching highway-env road.
+        contains the vehicles' start positions [m] along their paths. ``stock_road`` returns the matching highway-env
+        road.
         """
 
     @abstractmethod
@@ -161,24 +162,24 @@ class Road(ABC):
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
-        """Create the sensor of a planner.
+        """Create the sensor for a planner.
 
         ``rates`` are the numbers of ticks per second and per decision.
         """
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        """Return a function that predicts an NPC's pose from its position along its path, or None."""
+        """Return a function that maps an NPC's position along its path to its pose, or None."""
         return None
 
 
 def ego_start(headway: float, clearance: float) -> float:
-    """Return the ego's start position along a straight road [m], with room behind it for NPCs at any speed."""
+    """Return the ego's start position [m] on a straight road, with room behind it for NPCs at any speed."""
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 @dataclass(frozen=True)
 class StraightRoad(Road):
-    """Parallel straight lanes of equal width along the x axis, with lane 0 at the left (smallest y)."""
+    """Parallel straight lanes of equal width along the x axis, numbered from the left (smallest y)."""
 
     is_straight = True
 
@@ -202,7 +203,7 @@ class StraightRoad(Road):
 
     @classmethod
     def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:
-        """Create a road with equal lanes that start at x = 0, and with the centre of lane 0 at y = 0."""
+        """Create a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
         return cls(
             tuple(
                 Lane(x=0.0, y=k * lane_width, heading=0.0, length=length, width=lane_width, speed_limit=speed_limit)
@@ -223,7 +224,7 @@ class StraightRoad(Road):
         return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """Return the positions along the road and to the right of lane 0 [m], and the angle to the road [rad]."""
+        """Return the positions [m] along the road and to the right of lane 0, and the angle [rad] to the road."""
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
@@ -232,7 +233,7 @@ class StraightRoad(Road):
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
-        """Return the cells that are on a lane if the ego is in ``ego_lane``."""
+        """Return the cells that are on a lane when the ego is in ``ego_lane``."""
         return self._cells[ego_lane]
 
     def has_lane(self, lane: int, along: float) -> bool:

@@ -1,4 +1,4 @@
-"""The construction of a :class:`NetworkRoad` from an environment, with the ego's path and the lanes next to it."""
+"""The construction of a :class:`NetworkRoad` from an environment's road network."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 class _Strip:
-    """A lane along the ego's path, with arrays that have one entry per point of the line."""
+    """A lane along the ego's path, stored as arrays with one entry per point of the line."""
 
     def __init__(self, points: int) -> None:
         self.exists = np.zeros(points, dtype=bool)
@@ -55,12 +55,12 @@ class _Strip:
 
 
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
-    """Create the road of an environment that has been reset.
+    """Create the road for an environment that has been reset.
 
-    ``ahead`` is the largest distance that a vehicle may drive [m]. ``name`` is the environment's name in errors.
+    ``ahead`` is the largest distance [m] that a vehicle can drive. Error messages call the environment ``name``.
 
     Raises:
-        WorldError: if the grid cannot be used on the road.
+        WorldError: if grid coordinates cannot be used on the road.
     """
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
@@ -129,7 +129,7 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
-    """Return the position along the line of a point on a piece [m]."""
+    # The position [m] along the line of a point on one of the line's pieces.
     # a large additional distance excludes points of other pieces
     distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
@@ -158,7 +158,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
-    """Return, for each lane number at a point of the line, the distance across, the lane and the position in it."""
+    # Return, by number, the lateral distance, the lane and the position along it for each lane at a point of the line.
     x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
     place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
     origin, end, own = piece.index
@@ -179,7 +179,7 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the ego's lane, and the adjacent lanes on either side."""
+    """Yield the number and index of the ego's lane, and then of the adjacent lanes on each side."""
     yield own, found[own]
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
@@ -226,7 +226,7 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return x [m], y [m], direction [rad] and length [m] at each point of ``part``, a part of a lane."""
+    # X [m], y [m], direction [rad] and distance [m] from the start at each point of one part of a lane.
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
@@ -238,7 +238,7 @@ def _course(
 
 
 def curvature_of(line: Line) -> FloatArray:
-    """Return the curvature of a line at each of its points [1/m]."""
+    """Return the curvature [1/m] of a line at each of its points."""
     return _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
 
 
@@ -265,7 +265,7 @@ def _columns(
     *,
     is_dead_end: bool = False,
 ) -> tuple[tuple[Column, ...], list[Lane]]:
-    """Return the lanes of the path, and the same lanes for a trace: first parts of lanes first, then other parts."""
+    """Return the path's lanes, and the lanes for a trace, in which the first parts of lanes precede all other parts."""
     firsts: list[Lane] = []
     others: list[Lane] = []
     columns = []
@@ -339,11 +339,12 @@ STRAIGHT = 1e-7  # angle between the ends of a section up to which a lane counts
 def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[float, float, float], float] | None:
     """Return the start and the length [m] of a road with equal straight lanes, or None for other lanes.
 
-    The start is the x [m], y [m] and heading [rad] of the leftmost lane.
+    The start consists of the x [m], y [m] and heading [rad] of the leftmost lane.
 
     Args:
-        lines: the points of each centre line from the left, in the direction of driving [m], shape [points, 2].
-        width: the width of the lanes [m].
+        lines: the centre lines from the left, each as an array of shape [points, 2] with points [m] in the direction of
+            driving.
+        width: the width [m] of the lanes.
     """
     first = lines[0]
     heading = math.atan2(*(first[-1] - first[0])[::-1])
@@ -364,8 +365,8 @@ def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[flo
 def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = "") -> Any:
     """Create a highway-env network with a lane along each centre line.
 
-    Lines are as for :func:`straight_along`, but may have different lengths. ``name`` is the owner of the lanes in
-    errors.
+    ``lines`` are as for :func:`straight_along`, but can have different lengths. Error messages give ``name`` as the
+    owner of the lanes.
 
     Raises:
         WorldError: if the lanes are not in order from the left, or overlap.
@@ -431,7 +432,7 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
 
 
 def _slopes(way: FloatArray) -> FloatArray:
-    """Return the tangent vector of a lane at each of its points."""
+    # The tangent vector of a lane at each point.
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
     if len(known) > 1:  # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
@@ -441,7 +442,7 @@ def _slopes(way: FloatArray) -> FloatArray:
 
 
 def _curve(line: FloatArray) -> FloatArray:
-    """Return points about a metre apart on a smooth curve through a line (Catmull and Rom 1974)."""
+    """Return points about a metre apart on a smooth curve through a line's points (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     places = np.concatenate(([0.0], np.cumsum(steps)))
     slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
@@ -460,7 +461,7 @@ def _curve(line: FloatArray) -> FloatArray:
 
 
 def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
-    """Return the point of a curve next to each station, or NaN if there is none nearby."""
+    """Return, for each station, the nearest point of a curve to its side, or NaN if there is none nearby."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):
         ahead = (curve - station) @ direction

@@ -167,7 +167,7 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
     assert len(speeds["random"]) > 2
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
     of_test, papers = (
-        "3 to 6 NPCs with Position- or Lane-Instructions in hostile traffic (NPCs may stop, brake hard and "
+        "3 to 6 NPCs with PositionInstructions or LaneInstructions in hostile traffic (NPCs may stop, brake hard and "
         "cut in close); the ego starts at 12 to 26.8 m/s in lanes "
         "0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",

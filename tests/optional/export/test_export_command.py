@@ -51,7 +51,7 @@ def test_world_that_is_code_is_named(tmp_path, capsys):
     path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
-    assert "because files contain no code, pass the world itself, as in replay(ads, world=...) or --world\n" in (
+    assert "because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world\n" in (
         capsys.readouterr().err
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
@@ -102,10 +102,10 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
 
 
 @pytest.mark.parametrize(("below", "received"), [
-    ("file", "{}: File exists; there is a file where a folder should be: rename or delete it, or give another folder"),
-    ("file/new", "{}: Not a directory; there is a file where a folder should be: rename or delete it, or give another"),
-    ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
-    ("taken", "{}/collision-xfail.csv: Is a directory; there is a folder with that name: rename or delete it, or"),
+    ("file", "{}: File exists; rename or delete the file that has the name of the folder, or give another"),
+    ("file/new", "{}: Not a directory; rename or delete the file that has the name of the folder, or give another"),
+    ("n" * 300, "{}: File name too long; shorten the name of a folder, of the test or of a parameter, or"),
+    ("taken", "{}/collision-xfail.csv: Is a directory; rename or delete the folder that has this name, or"),
 ])  # fmt: skip
 def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path, capsys):
     (tmp_path / "file").touch()
@@ -158,7 +158,7 @@ def raising():
      "xosc-1.0, received 'xslx'"),
     (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
     ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
-    ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),
+    ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "received one in which a process died"),
     ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
 ])  # fmt: skip
 def test_impossible_export_is_refused_with_the_way_out(arguments, message, capsys):

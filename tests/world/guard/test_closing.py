@@ -100,7 +100,7 @@ def test_policies_and_planners_in_environment_are_closed(env_id, drive, inside):
 def test_error_in_closing_is_only_a_warning(end, said, monkeypatch):
     world, end = Highway(), end or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
     with pytest.warns(
-        RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*; this does not change the result of the run"
+        RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*\. This does not change the result of the run"
     ):
         trace = world.rollout(BRAKED, lambda: Program([], end=end))
     assert trace.outcome is Outcome.COLLISION
