@@ -379,13 +379,13 @@ class Signals:
             rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
-                    f"signal {_name_of(function)}: expected an array with one value per tick, shape ({rows},), or one "
-                    f"per NPC and tick, shape ({npcs}, {rows}), but received an array of shape {values.shape}"
+                    f"signal {_name_of(function)}: expected an array of shape ({rows},), with one value per tick, or "
+                    f"({npcs}, {rows}), with one per NPC and tick, but received the shape {values.shape}"
                 )
             values.flags.writeable = False
             self._values[function] = values
         if (values.ndim == 2) is (npc is None):
-            wanted = "an index such as npc=0, because the signal has a row per NPC" if npc is None else "no npc="
+            wanted = "an index such as npc=0, because the signal has one row for each NPC" if npc is None else "no npc="
             raise ValueError(f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}")
         return values if npc is None else values[npc]
 

@@ -421,8 +421,8 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
         raise ScenarioError(field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value))
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
-        expected = "a speed of at least 0 m/s, in steps of 0.1"
-        fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"  # `least_steps` is valid
+        nearest = max(steps, least_steps) / SPEED_STEPS_PER_MPS  # `least_steps` is valid
+        expected, fix = "a non-negative multiple of 0.1 m/s", f"the nearest valid speed is {nearest:g} m/s"
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 
@@ -455,7 +455,7 @@ class PositionInstruction(TimedInstruction):
         if type(self.cell) is not Cell:
             number = plain_whole(self.cell)
             if number is None or not 1 <= number <= 8:
-                expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
+                expected = "a whole number from 1 (front-left) to 8 (left), clockwise around the ego"
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
             object.__setattr__(self, "cell", Cell(number))
         object.__setattr__(self, "speed", checked_speed(self.speed))
@@ -636,7 +636,7 @@ class CrossingInstruction(Instruction):
 
     def __post_init__(self) -> None:
         if not isinstance(self.zone, str) or not ZONE_NAME.fullmatch(self.zone):
-            expected = 'the entry and the exit of a path, such as "o1>o3"'
+            expected = 'the entry and exit of a path, such as "o1>o3"'
             raise ScenarioError(field="zone", expected=expected, received=f"{self.zone!r:.100}")
         if self.act not in ACTS:
             raise ScenarioError(field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}")
@@ -645,7 +645,7 @@ class CrossingInstruction(Instruction):
         object.__setattr__(self, "slot", _checked_slot(self.slot))
         object.__setattr__(self, "speed", checked_speed(self.speed, least_steps=1))
         if self.speed <= 0:
-            expected, fix = "a speed above 0 m/s, because the NPC must arrive", 'use act="stop" to stop in the zone'
+            expected, fix = "a speed above 0 m/s, so that the NPC reaches the zone", 'use act="stop" to stop there'
             raise ScenarioError(field="speed", expected=expected, received=repr(self.speed), fix=fix)
 
     @property
@@ -742,12 +742,12 @@ class CrossingInstruction(Instruction):
 def _checked_slot(value: object) -> float:
     slot = checked_number(value, "slot", "a finite number", error=ScenarioError)
     if abs(slot) > LARGEST_SLOT + 1e-9:
-        expected = f"at most {LARGEST_SLOT:g} seconds before or after the ego"
+        expected = f"a time from -{LARGEST_SLOT:g} to {LARGEST_SLOT:g} s relative to the ego"
         raise ScenarioError(field="slot", expected=expected, received=repr(value))
     steps = round(slot * SLOT_STEPS_PER_SECOND)
     if abs(slot * SLOT_STEPS_PER_SECOND - steps) > 1e-6:
-        fix = f"the nearest valid slot is {steps / SLOT_STEPS_PER_SECOND:g}"
-        raise ScenarioError(field="slot", expected="a number of seconds in steps of 0.1", received=repr(value), fix=fix)
+        fix = f"the nearest valid slot is {steps / SLOT_STEPS_PER_SECOND:g} s"
+        raise ScenarioError(field="slot", expected="a multiple of 0.1 s", received=repr(value), fix=fix)
     return steps / SLOT_STEPS_PER_SECOND + 0.0
 
 

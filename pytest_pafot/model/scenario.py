@@ -40,7 +40,7 @@ LONGEST_GENE = 86400.0
 MAX_SEED = 2**63 - 1
 
 # The fix that messages give for a chain with a cell that is no ring neighbour of the previous cell.
-REPAIR = "Scenario.repaired(...) makes such chains valid"
+REPAIR = "use Scenario.repaired(...) to make the chains valid"
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -274,8 +274,8 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
-        expected = "one chain of instructions per NPC"
-        fix = "write [[PositionInstruction(cell, speed), ...], ...]"
+        expected = "a list with one chain of instructions per NPC"
+        fix = "write npcs=[[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains)))
@@ -290,12 +290,12 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
             if not isinstance(each, Instruction):
                 *names, last = [f"a {kind.__name__}" for kind in KINDS]
                 expected = f"{', '.join(names)} or {last}"
-                fix = "write PositionInstruction(cell, speed), or LaneInstruction(lane, speed)"
+                fix = "write, for example, PositionInstruction(cell, speed)"
             elif type(each) is not (kind := type(chain[0])):
-                expected = f"a {kind.__name__} like npcs[{npc}][0]"
-                fix = "give an NPC instructions of one kind"
+                expected = f"a {kind.__name__}, as in npcs[{npc}][0]"
+                fix = "give each NPC only one kind of instruction"
             elif gene and each.crosses:
-                expected, fix = f"only one {kind.__name__} per NPC", "give this one to another NPC"
+                expected, fix = f"no second {kind.__name__} for the same NPC", "give it to another NPC"
             else:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
@@ -304,8 +304,8 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
 
 def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     if isinstance(vehicles, (str, Mapping)) or not isinstance(vehicles, Iterable):
-        fix = 'write vehicles=("truck",) for NPC 0'
-        raise ScenarioError(field="vehicles", expected="a vehicle per NPC", received=f"{vehicles!r:.100}", fix=fix)
+        fix = 'write, for example, vehicles=("truck",)'
+        raise ScenarioError(field="vehicles", expected="a list of vehicles", received=f"{vehicles!r:.100}", fix=fix)
     found = []
     for npc, each in enumerate(vehicles):
         try:
@@ -316,7 +316,7 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
                 field=f"vehicles[{npc}]{name}", expected=error.expected, received=error.received, fix=error.fix
             ) from None
     if len(found) > npcs:
-        expected = f"at most {npcs}, one per NPC"
+        expected = f"no more vehicles than NPCs ({npcs})"
         raise ScenarioError(field="vehicles", expected=expected, received=str(len(found)))
     return without_last_cars(found)
 
@@ -379,7 +379,7 @@ def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
                 place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
-                expected = f"cell {int(before)} again or its ring neighbour {int(low)} or {int(high)}"
+                expected = f"cell {int(before)} again, or one of the adjacent cells {int(low)} and {int(high)}"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
 
 
@@ -392,5 +392,5 @@ def _check_distinct(npcs: Sequence[Chromosome]) -> None:
             other = holders.setdefault(held.cell, npc)
             if other != npc:
                 place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC occupies in gene {gene}"
-                received = f"cell {int(held.cell)} of npcs[{other}]"
+                received = f"cell {int(held.cell)}, which npcs[{other}] occupies"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

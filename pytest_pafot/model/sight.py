@@ -37,7 +37,7 @@ class Sight:
 
     def __post_init__(self) -> None:
         if not isinstance(self.noise, Mapping) or not self.noise.keys() <= NOISES.keys():
-            expected = 'a mapping of "position" [m] and "speed" [m/s], one of them or both'
+            expected = 'a mapping with the keys "position" [m], "speed" [m/s] or both'
             raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
         noise = {key: float(_number(f"noise.{key}", value, NOISES[key])) for key, value in self.noise.items()}
         object.__setattr__(self, "noise", {key: value for key, value in noise.items() if value})
@@ -89,6 +89,6 @@ class Sight:
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
     number = plain_number(value)
     if number is None or not 0 <= number <= most:
-        expected = f"a finite number of at least 0 [{unit}]" if unit else f"a number from 0 to {most:g}"
+        expected = f"a finite value of at least 0 {unit}" if unit else f"a number from 0 to {most:g}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
     return number

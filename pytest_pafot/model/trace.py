@@ -424,13 +424,13 @@ class Trace:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if self.states.ndim != 3 or self.states.shape[2] != 7:
-            raise ValueError(f"states: expected shape [ticks + 1, vehicles, 7], received {self.states.shape}")
+            raise ValueError(f"states: expected the shape (ticks + 1, vehicles, 7), received {self.states.shape}")
         rows, vehicles, _ = self.states.shape
         shapes = {"sizes": (vehicles, 2), "track": (rows, vehicles, 5), "on_way": (rows, vehicles - 1)}
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array is not None and array.shape != shape:
-                raise ValueError(f"{name}: expected shape {shape}, received {array.shape}")
+                raise ValueError(f"{name}: expected the shape {shape}, received {array.shape}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Pickling makes arrays writeable.

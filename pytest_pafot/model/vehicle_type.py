@@ -125,7 +125,7 @@ class VehicleType(Pasteable):
     def __post_init__(self) -> None:
         is_text = isinstance(self.name, str) and self.name.isprintable() and self.name == self.name.strip()
         if not is_text or not 1 <= len(self.name) <= LONGEST_NAME:
-            expected = f"a name of 1 to {LONGEST_NAME} printable characters"
+            expected = f"a name of 1 to {LONGEST_NAME} printable characters, without spaces at either end"
             raise FieldError(field="name", expected=expected, received=f"{self.name!r:.100}")
         object.__setattr__(self, "name", str(self.name))
         for name, (low, high) in BOUNDS.items():
@@ -139,10 +139,10 @@ class VehicleType(Pasteable):
                 raise FieldError(field=name, expected=expected, received=f"{given!r:.100}")
             object.__setattr__(self, name, number + 0.0)
         if self.length < self.width:
-            expected = f"at least the width, {self.width:g}"
-            raise FieldError(field="length", expected=expected, received=f"{self.length:g}")
+            expected = f"a length of at least the width, {self.width:g} m"
+            raise FieldError(field="length", expected=expected, received=f"{self.length:g} m")
         if READY.get(self.name, self) != self:
-            expected, fix = f"a name other than {', '.join(READY)}", f"use {self.name!r} alone, or choose another name"
+            expected, fix = f"a name other than {', '.join(READY)}", f"for the built-in vehicle, write {self.name!r}"
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -198,7 +198,7 @@ class VehicleType(Pasteable):
             each.name for each in fields(cls)
         }:
             return cls(**given)
-        expected = f"one of {', '.join(READY)}, or pafot.VehicleType(name=..., length=..., width=...)"
+        expected = f"{', '.join(READY)} or pafot.VehicleType(name=..., length=..., width=...)"
         raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
 
 

@@ -208,7 +208,7 @@ def _values(value: Any, name: str) -> FloatArray:
     if values.ndim != 1 or not values.size:
         raise ValueError(
             f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
-            f"{values.shape}. Check each NPC separately"
+            f"{values.shape}{'. Check each NPC separately' if values.ndim > 1 else ''}"
         )
     return values
 
@@ -238,7 +238,7 @@ def _scale(name: str, bound: float, scale: float | None) -> float:
 
 def _unit(name: str, unit: object) -> str:
     if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
-        raise ValueError(f"check {name!r}: expected a short printable unit such as 'm/s^3', received {unit!r:.100}")
+        raise ValueError(f"check {name!r}: expected a short printable unit=, such as 'm/s^3', received {unit!r:.100}")
     return unit
 
 
@@ -247,8 +247,8 @@ def _npc(name: str, npc: Any) -> int | None:
     most = None if recording is None else recording.npcs
     is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
     if npc is not None and not (is_index and (most is None or npc < most)):
-        there = "" if most is None else f", at most {most - 1}"
-        raise ValueError(f"check {name!r}: expected the index of an NPC as npc={there}, received {npc!r:.100}")
+        there = "" if most is None else f" (at most {most - 1})"
+        raise ValueError(f"check {name!r}: expected npc= to be the index of an NPC{there}, received {npc!r:.100}")
     return None if npc is None or npc < 0 else int(npc)
 
 
@@ -435,7 +435,7 @@ class Run:
             pd = import_late("pandas")
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                f"run.to_pandas(): expected the package pandas, which is missing. Run `{install('compare')}`"
+                f"run.to_pandas() requires the package pandas, which is not installed. Run `{install('compare')}`"
             ) from error
         return pd.DataFrame(  # type: ignore[no-any-return]
             {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")

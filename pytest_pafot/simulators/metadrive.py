@@ -99,14 +99,14 @@ class MetaDrive(Simulator):
         start_at: float | None = None,
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
-            received = "none" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
-            fix = f"in an environment with Python 3.11, which MetaDrive needs, run {install('metadrive')}"
-            raise WorldError(field="pafot.metadrive", expected="MetaDrive 0.4.3", received=received, fix=fix)
+            received = "no MetaDrive" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
+            expected, fix = "MetaDrive 0.4.3 in Python 3.11", f"run `{install('metadrive')}` with Python 3.11"
+            raise WorldError(field="pafot.metadrive", expected=expected, received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
-            expected = 'a string of "S" (straight) and "C" (curve), such as "SSSCSS"'
+            expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'
             raise WorldError(field="map", expected=expected, received=f"{map!r:.100}")
         if observation not in (None, "lidar", "vehicle"):
-            expected = 'None for a planner, "lidar" or "vehicle"'
+            expected = 'None (for a planner), "lidar" or "vehicle"'
             raise WorldError(field="observation", expected=expected, received=f"{observation!r:.100}")
         self._observation, self._map, self._count = observation, map, whole_within("lanes", lanes, 1, MOST_LANES)
         self._data = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
@@ -200,7 +200,7 @@ def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     for name, given in sensors.items() if isinstance(sensors, Mapping) else [("sensors", sensors)] if sensors else ():
         most = {"num_lasers": 1000, "distance": 1000} | ({"num_others": 8} if name == "lidar" else {})
         if name not in DETECTORS or not isinstance(given, Mapping) or set(given) - set(most):
-            expected = f"settings of {', '.join(DETECTORS)}: num_lasers, distance, and num_others of the lidar"
+            expected = f"only num_lasers and distance for {', '.join(DETECTORS)}, and num_others for lidar"
             raise WorldError(field="sensors", expected=expected, received=f"{sensors!r:.100}")
         values = {key: whole_within(f"sensors.{name}.{key}", value, 0, most[key]) for key, value in given.items()}
         checked[name] = {**checked.get(name, {}), **values}

@@ -280,7 +280,7 @@ class BaseWorld(ABC):
             raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
-            raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
+            raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
         # The ego repeats its states, so the NPCs repeat their states, too. Shortly before the tick, the driver watches.
         seconds = tick / trace.physics_hz
         return self._driven_by(
@@ -333,14 +333,14 @@ class BaseWorld(ABC):
         if self.lasts is not None:
             object.__setattr__(self, "lasts", number_within("lasts", self.lasts, *LASTS))
         if not isinstance(self.limits, NpcLimits):
-            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
+            raise WorldError(field="limits", expected="a pafot.NpcLimits object", received=repr(self.limits))
         try:
             object.__setattr__(self, "ego", VehicleType.of(self.ego))
         except FieldError as error:
-            raise WorldError(f"ego: {error}") from None
+            raise WorldError(f"ego.{error}".replace("ego.vehicle:", "ego:")) from None
         if self.ego.braking < HARDEST:
             expected = f"a vehicle that can brake at {HARDEST:g} m/s^2, which the rules require of every driver"
-            received = f"{self.ego.described}, which can brake at {self.ego.braking:g} m/s^2"
+            received = f"{self.ego.name!r}, which can brake at only {self.ego.braking:g} m/s^2"
             raise WorldError(field="ego", expected=expected, received=received)
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
@@ -405,7 +405,7 @@ class BaseWorld(ABC):
 
 def _reference_driver(name: str) -> ReferenceDriver:
     if name not in REFERENCES:
-        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
+        raise WorldError(f"reference driver: expected {' or '.join(REFERENCES)}, received {name!r}")
     return REFERENCES[name]()
 
 
@@ -419,7 +419,7 @@ class TakingOver:
         try:
             return self.world.take_over(trace, tick, CAREFUL)
         except Exception as error:  # raised by a user's simulator
-            text = f"the world {type(self.world).__name__} could not run take_over with the driver {CAREFUL!r}: "
+            text = f"take_over with the driver {CAREFUL!r} failed in the {type(self.world).__name__}: "
             raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
     def lasting(self, seconds: float) -> TakingOver:
@@ -505,8 +505,8 @@ class Highway(BaseWorld):
         policy.check_drives_in(self)
         if policy.simulates:
             raise AdsFactoryError(
-                "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
-                'use world=pafot.World("highway-v0") for planners that simulate inside one'
+                "ads: expected a factory without the parameter `env`, because pafot.Highway has no environment. "
+                'For planners that simulate inside an environment, use world=pafot.World("highway-v0")'
             )
         ads, rules = policy.make(), self.rules
         if ads.drives_itself:

@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.support.text import differences, shown
+from pytest_pafot.support.text import differences, listed, shown
 from pytest_pafot.world.base_world import BaseWorld, Highway
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
@@ -88,17 +88,17 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        expected = "none, because a file contains no code"
+        expected = "no wrappers, because a file cannot contain code"
         fix = "use pafot.World(..., wrappers=[...]) in the test, or --world module:factory"
         raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
-            raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
+            raise WorldError('world.env_id: expected an environment id, such as "highway-v0", received none')
         config = values.get("config")
         path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
         if not _may_name(path):
-            fix = "a corpus file must not name other code; for your own vehicle class, import its module first"
-            expected, place = "a class of highway_env.vehicle", "world.config.other_vehicles_type"
+            fix = "a corpus file must not name other code. For your own vehicle class, import its module first"
+            expected, place = "a class in highway_env.vehicle", "world.config.other_vehicles_type"
             raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
 
@@ -116,14 +116,14 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
     known = {field.name for field in fields(cls) if field.compare}  # the other fields are not part of a world
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
-        expected = f"the fields {', '.join(sorted(known))}"
+        expected = f"no fields other than {listed(sorted(known))}"
         raise WorldError(field=place, expected=expected, received=", ".join(unknown))
 
 
 def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
         received = ", ".join(values) or "none"
-        raise WorldError(field=f"world (kind {kind})", expected="the field data", received=received)
+        raise WorldError(field=f"world (kind {kind})", expected="only the field 'data'", received=received)
     # Imported only here, because the simulators import this module.
     simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
     try:
@@ -229,8 +229,8 @@ def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     expected = f"{_title(data)}, the world in which the scenario was saved"
-    way = "a file contains no code, so set its world with @pafot.search(world=...), the fixture pafot_world or --world"
-    fix = f"{way}; if only the name of the world has changed, write the new name into the file"
+    way = "a file cannot contain code, so set the world with @pafot.search(world=...), pafot_world or --world"
+    fix = f"{way}. If only the name of the world has changed, write the new name into the file"
     raise WorldError(expected=expected, received=_title(now), fix=fix)
 
 

@@ -220,9 +220,9 @@ class GymEnvironment:
             with EnvironmentGuard(self.hang_limit) as guard, guard.call():
                 yield
         except WorldHang as error:
-            fix = "correct it, or increase hang_limit of the world"
+            fix = "correct the environment, or increase the world's hang_limit"
             expected = "an environment whose methods return in time"
-            raise WorldError(field="env_id", expected=expected, received=f"a failure: {error}", fix=fix) from error
+            raise WorldError(field="env_id", expected=expected, received=f"one where {error}", fix=fix) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
         """Create an environment in all its wrappers, with or without random traffic.
@@ -253,7 +253,7 @@ class GymEnvironment:
             expected = f"a configuration that the environment {self.env_id} accepts"
             if not given:
                 field, received = "env_id", repr(self.env_id)
-                expected = "an environment that gymnasium.make can create, and that can be reset with seed 0"
+                expected = "an environment that gymnasium.make can create and that can be reset with seed 0"
             fix = f"the environment raised {type(error).__name__}: {error!s:.200}"
             raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
@@ -265,8 +265,8 @@ class GymEnvironment:
                 field="env_id",
                 expected="an environment that is registered without wrappers",
                 received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
-                fix=f"to use only the registered wrappers, write "
-                f"pafot.World({self.env_id!r}, wrappers=[]); the list can contain additional wrappers",
+                fix=f"to use these wrappers, write pafot.World({self.env_id!r}, wrappers=[]), with any additional "
+                "wrappers in the list",
             )
         with self.in_time():
             return _wrap(env, self.wrappers or ())
@@ -320,10 +320,10 @@ class GymEnvironment:
                 was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
                 raise WorldError(
                     field="env_id",
-                    expected="an environment whose resets with the same seed are equal, so that runs can be repeated",
+                    expected="an environment whose resets depend only on the seed, so that runs can be repeated",
                     received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
-                    fix="does it count its resets, or draw random numbers without the seed? Replace the difference by "
-                    "an option in config=, with a separate value for each test",
+                    fix="does it count its resets, or draw random numbers without the seed? If the difference is "
+                    "intended, make it an option in config= and set a value in each test",
                 )
 
     @property
@@ -369,9 +369,9 @@ class GymEnvironment:
             raise WorldError(
                 field="config.other_vehicles_type",
                 expected="a highway-env vehicle class that can be called with (road, position, heading, speed) and "
-                "does not move its vehicles, because the NPCs have this class",
+                "does not move its vehicles, because the NPCs are objects of this class",
                 received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
-                fix="correct the class, or set the option to a different one, such as "
+                fix="correct the class, or set the option to a different class, such as "
                 "'highway_env.vehicle.behavior.IDMVehicle'",
             ) from error
 
@@ -720,10 +720,10 @@ def _creator(env_id: str) -> Any:
         near = difflib.get_close_matches(
             env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
         )
-        meant = f"; did you mean {near[0]!r}?" if near else ""
+        meant = f"did you mean {near[0]!r}? " if near else ""
         fix = (
-            f"highway-env's straight roads are {', '.join(known)}; for your own environment, first "
-            f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}{meant}"
+            f"{meant}highway-env's straight roads are {' and '.join(known)}. For your own environment, first "
+            f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}"
         )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
@@ -732,7 +732,7 @@ def _creator(env_id: str) -> Any:
 
 def _check_base(env_id: str, cls: type[Any]) -> None:
     if not issubclass(cls, AbstractEnv):
-        expected = "an environment that derives from highway-env's AbstractEnv"
+        expected = "an environment derived from highway-env's AbstractEnv"
         raise WorldError(
             field="env_id", expected=expected, received=f"{env_id!r} ({cls.__name__})", fix=f"write {OTHER_KIND}"
         )
@@ -748,7 +748,7 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
         given = {name: given[name] for name in ("observation", "action", "scaling") if name in given}
     _check_size("config", given)
     if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
-        expected, received = f"at most {MOST_NUMBERS} numbers", f"about {numbers:.0f}"
+        expected, received = f"at most {MOST_NUMBERS:,} numbers", f"about {numbers:,.0f}"
         fix = "use fewer features, parts or images, or larger cells"
         raise WorldError(field="config.observation", expected=expected, received=received, fix=fix)
 
@@ -761,11 +761,11 @@ def _check_size(place: str, config: Any) -> None:
         return
     cells = _cells(config) if config.get("type") == "OccupancyGrid" else 0.0
     if not cells <= MOST_CELLS:
-        expected = f"a grid of at most {MOST_CELLS} cells"
-        raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"a grid of {cells:.0f} cells")
+        received = "infinitely many cells" if cells == math.inf else f"{cells:,.0f} cells"
+        raise WorldError(field=f"{place}.grid_step", expected=f"at most {MOST_CELLS:,} cells", received=received)
     for name, value in config.items():
         if limit := _exceeded(name, value):
-            expected, received = f"{limit}, so that the environment is made in seconds", f"{value!r:.100}"
+            expected, received = f"{limit}, so that the environment can be created within seconds", f"{value!r:.100}"
             raise WorldError(field=f"{place}.{name}", expected=expected, received=received)
         _check_size(f"{place}.{name}", value)
 

@@ -86,8 +86,8 @@ class World(BaseWorld):
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
-            expected = 'the id of a registered environment without a module in front, such as "highway-v0"'
-            fix = "import the module that registers it first"
+            expected = 'the id of a registered environment, without a module name, such as "highway-v0"'
+            fix = "first import the module that registers the environment"
             fix = fix if isinstance(self.env_id, str) else f"{fix}, or write {OTHER_KIND}"
             raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
         if self.config is not None and not isinstance(self.config, dict):
@@ -187,8 +187,8 @@ class World(BaseWorld):
         policy.check_drives_in(self)
         if self.planner_hz is not None and policy.simulates:
             raise AdsFactoryError(
-                "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
-                "sees a pafot.Observation; omit planner_hz= for planners that simulate inside the environment"
+                "ads: expected a factory without the parameter `env`, because planner_hz= is for planners that receive "
+                "a pafot.Observation. For planners that simulate inside the environment, omit planner_hz="
             )
         if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
             # In some environments, policies need the environment's own steps, but vehicle classes do not.

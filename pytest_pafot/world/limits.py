@@ -82,14 +82,14 @@ class NpcLimits:
         """
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:
-            why = f"NPCs can reach {self.overspeed:g} times the limit, and vehicles in highway-env {TOP_SPEED:g} m/s"
+            why = f"NPCs can reach {self.overspeed:g} times it, and highway-env's top speed is {TOP_SPEED:g} m/s"
             expected = f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
             raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed
 
 
 # The end of error messages for users whose simulator is not highway-env.
-OTHER_KIND = 'a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")'
+OTHER_KIND = 'a pafot.Simulator for it, to use in a pafot.SimulatorWorld (see the page "A simulator of your own")'
 
 # The smallest and largest accepted rates: physics ticks, and decisions per second.
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
@@ -145,7 +145,7 @@ def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
     if physics_hz % ads_hz == 0:
         return
     divisors = ", ".join(str(n) for n in range(1, physics_hz + 1) if physics_hz % n == 0)
-    expected = f"a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number of ticks"
+    expected = f"a divisor of {physics_name} ({physics_hz}), so that every decision lasts a whole number of ticks"
     higher = math.ceil(physics_hz / ads_hz) * ads_hz
-    fix = f"use one of {divisors}" + (f", or {physics_name}={higher}" if higher <= PHYSICS_HZ[1] else "")
+    fix = f"use one of {divisors}" + (f", or set {physics_name} to {higher}" if higher <= PHYSICS_HZ[1] else "")
     raise WorldError(field=ads_name, expected=expected, received=str(ads_hz), fix=fix)

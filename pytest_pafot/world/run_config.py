@@ -114,7 +114,7 @@ class Rules:
         on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
         if on_grid > len(cells):
             kind = " that do not cross" if crossings else ""
-            expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
+            expected = f"at most {len(cells)} NPCs{kind}, one for each cell around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
         if near := self._at_start(scenario.ego_lane, scenario.ego_speed):
@@ -126,7 +126,7 @@ class Rules:
         ticks = scenario.gene_seconds * self.physics_hz
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
             expected = f"a whole number of ticks of 1/{self.physics_hz:.6g} s"
-            fix = f"the nearest is {round(max(round(ticks), 1) / self.physics_hz, 13)!r}"
+            fix = f"the nearest valid duration is {round(max(round(ticks), 1) / self.physics_hz, 13)!r} s"
             received = f"{scenario.gene_seconds:g}"
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
 
@@ -137,7 +137,7 @@ class Rules:
             if not self.road.can_drive(vehicle, zone):
                 expected = f"a vehicle that can follow the bends of {zone or 'the road'}"
                 least = vehicle.length / (TIGHTEST * CAR.length)
-                fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another path"
+                fix = f"it needs a radius of at least {least:.1f} m. Give the NPC a shorter vehicle or another path"
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
@@ -155,7 +155,7 @@ class Rules:
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
         expected = f"a lane without a fixed object at {where}"
         if road.prescribed is None:
-            expected = f"a lane without fixed objects from {where} to {self.headway:g} s ahead at {speed:g} m/s"
+            expected = f"a lane without fixed objects for {self.headway:g} s at {speed:g} m/s from {where}"
             others = [lane for lane in road.start_lanes if lane != scenario.ego_lane]
             free = [lane for lane in others if self._at_start(lane, speed) is None]
         received = f"lane {scenario.ego_lane}, which has an object at ({near[0]:.1f}, {near[1]:.1f}) m"
@@ -165,9 +165,9 @@ class Rules:
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings
         if crossings is None:
-            expected = "NPCs that do not cross, because no other path meets the ego's path on this road"
-            fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
-            raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
+            expected = "no crossing NPC, because no other path crosses the ego's path on this road"
+            fix = 'use PositionInstruction(cell, speed), or a world with crossings, such as "intersection-v0"'
+            raise ScenarioError(field=place, expected=expected, received=f"zone {instruction.zone}", fix=fix)
         if instruction.zone not in crossings.ways:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
             fix = "a path that starts with the ego's path, or does not meet it, has no zone"

@@ -119,9 +119,9 @@ class SimulatorWorld(BaseWorld):
 
     def __post_init__(self) -> None:
         if isinstance(self.simulator, Simulator) or not callable(self.simulator):
-            expected = "the class of a pafot.Simulator, or a function without parameters that creates one"
+            expected = "a subclass of pafot.Simulator, or a function without parameters that creates a simulator"
             name = type(self.simulator).__name__
-            fix = f"write pafot.SimulatorWorld({name}), or functools.partial({name}, ...) with its arguments"
+            fix = f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)"
             raise WorldError(field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix)
         if self.ads_hz is not None:
             object.__setattr__(self, "ads_hz", whole_if_possible(number_within("ads_hz", self.ads_hz, *ADS_HZ)))
@@ -315,12 +315,12 @@ class SimulatorWorld(BaseWorld):
             return self._planned(self.rules, scenario, given, decisions, is_native=self.is_native)
 
     def _no_planner(self, given: Any) -> AdsFactoryError:
-        takes = f"the return value of {self.maker.__name__}.observe to an action"
+        takes = f"the return value of {self.maker.__name__}.observe into an action"
         if not self.is_native:
-            takes = "a pafot.Observation to (acceleration, steering)"
+            takes = "a pafot.Observation into (acceleration, steering)"
         return AdsFactoryError(
-            f"ads: expected a callable from {takes} in a pafot.SimulatorWorld, "
-            f"received {given!r:.200}; use pafot.Highway for a vehicle class of highway-env, or "
+            f"ads: expected a callable that turns {takes}, as pafot.SimulatorWorld requires, "
+            f"received {given!r:.200}; use pafot.Highway for a highway-env vehicle class, or "
             "pafot.World for a planner that simulates"
         )
 
@@ -469,10 +469,10 @@ def _check_statements(simulator: Any) -> _Stated:
             raise WorldError(field=f"{name}.{stated}", expected=expected, received=received)
     offset, reference = simulator.rear_axle_offset, simulator.reference
     if (offset is None) is (reference == "rear axle"):
-        expected = "the distance of the rear axle behind the centre of a vehicle's box [m]"
-        fix = 'with reference = "rear axle", set rear_axle_offset, for example to 1.4'
+        expected = "the distance [m] from a vehicle's centre back to its rear axle, because reference = 'rear axle'"
+        fix = "write, for example, rear_axle_offset = 1.4"
         if offset is not None:
-            expected, fix = f"none with reference = {reference!r}", 'set reference = "rear axle", or omit this'
+            expected, fix = f"None, because reference = {reference!r}", "remove it, or set reference = 'rear axle'"
         raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
     if offset is not None:
         offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " metres")
@@ -489,7 +489,7 @@ def _check_statements(simulator: Any) -> _Stated:
     except ValueError as error:
         raise WorldError(str(error)) from None
     if is_on("native") and type(simulator).observe is Simulator.observe:
-        fix = "write one that returns the input of the policy"
+        fix = "write a method that returns the policy's input"
         raise WorldError(field=f"{name}.observe", expected="a method, because native is True", received="none", fix=fix)
     found = _Stated(
         maker=type(simulator),
@@ -519,7 +519,7 @@ def _check_statements(simulator: Any) -> _Stated:
         frame = Frame(found)
         found.lines = [
             _line(f"{name}.lanes[{n}]", line, frame)
-            for n, line in enumerate(several("lanes", "centre lines, or a number"))
+            for n, line in enumerate(several("lanes", "centre lines, or a number of lanes"))
         ]
         found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
     whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
@@ -533,7 +533,7 @@ def _hz(simulator: Simulator, name: str) -> float:
         dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, " seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
-        fix = "set only dt or hz; if dt is your own attribute, call it _dt"
+        fix = "set only dt or only hz, or rename dt to _dt if it is your own attribute"
         raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
     return whole_if_possible(hz)
 
@@ -563,9 +563,9 @@ def _check_names(cls: type[Simulator]) -> None:
         if near and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1:
             raise WorldError(
                 field=f"{cls.__name__}.{name}",
-                expected="the name of an attribute of pafot.Simulator",
+                expected="an attribute of pafot.Simulator",
                 received="an attribute that nothing reads",
-                fix=f"write {near[0]}, or _{name} for your own attribute",
+                fix=f"write {near[0]}, or rename it to _{name} if it is your own attribute",
             )
 
 
@@ -581,15 +581,15 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     steps = np.hypot(*np.diff(line, axis=0).T)
     if steps.min() < 1e-3:
         number = int(steps.argmin())
-        expected = "points that are at least a millimetre apart"
-        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="the previous point again")
+        expected = "a point that is at least 1 mm from the previous point"
+        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="a closer point")
     return line
 
 
 def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
     values = tuple(given) if isinstance(given, (tuple, list)) else ()
     if len(values) != 5 or not all(isinstance(each, (int, float)) and math.isfinite(each) for each in values):
-        expected = "x, y, heading, length and width of a fixed object"
+        expected = "five numbers: the x, y, heading, length and width of a fixed object"
         raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
     x, y, heading, length, width = map(float, values)
     return x, y, heading, length, width

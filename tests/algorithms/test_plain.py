@@ -125,7 +125,7 @@ def test_what_json_cannot_hold_is_refused():
     (Steps, [0.5, 3], "", "a list of 3"),
     (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
     (Evaluation, plain([None]) * 17, "[0]", "a scenario"),
-    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "a speed of at least 0 m/s"),
+    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "a non-negative multiple of 0.1 m/s"),
     (Collision | None, [], "", "a list of 8"),
 ])  # fmt: skip
 def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):

@@ -71,14 +71,15 @@ def test_redundant_act_is_read_without_error():
      "the key 'zone', 'slot', 'speed' or 'act' of a CrossingInstruction"),
     ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "a multiple of 0.1 m/s"),
     ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "a multiple of 0.1 s"),
-    ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "at most 5 seconds before or after the ego"),
+    ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "a time from -5 to 5 s relative to the ego"),
     ("slot: 0.5", "slot: soon", "scenario.npcs.NPC 0[0].slot", "a number from -1,000,000,000"),
-    ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and the exit of a path"),
+    ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and exit of a path"),
     ("zone: o1>o3,", "zone: o1>o3, cell: front,", "scenario.npcs.NPC 0[0].zone",
      "the key 'cell' or 'speed' of a PositionInstruction"),
-    ("8.6}]", "8.6}, {cell: rear, speed: 8}]", "scenario.npcs.NPC 0[1].cell", "a CrossingInstruction like npcs[0][0]"),
-    ("8.0}]\n    NPC 2: [{zone", "8.0}, {zone", "scenario.npcs.NPC 1[1]", "a PositionInstruction like npcs[1][0]"),
-    ("8.6}]", "8.6}, {lane: keep, speed: 8}]", "scenario.npcs.NPC 0[1]", "a CrossingInstruction like npcs[0][0]"),
+    ("8.6}]", "8.6}, {cell: rear, speed: 8}]", "scenario.npcs.NPC 0[1].cell",
+     "a CrossingInstruction, as in npcs[0][0]"),
+    ("8.0}]\n    NPC 2: [{zone", "8.0}, {zone", "scenario.npcs.NPC 1[1]", "a PositionInstruction, as in npcs[1][0]"),
+    ("8.6}]", "8.6}, {lane: keep, speed: 8}]", "scenario.npcs.NPC 0[1]", "a CrossingInstruction, as in npcs[0][0]"),
     ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
     ("zone: crossing from the left", "zone: crossing from above", "expect.zone",
      "'crossing from the left', 'crossing from the right'"),
@@ -101,8 +102,8 @@ IN_LANES = text_of(plain_finding(scenario=LANES))
 @table(("wrong", "message"), [
     ("{lane: up, speed: 22.3}", r"scenario.npcs.NPC 0\[0\].lane: expected 'keep', 'left' or 'right', received 'up'"),
     ("{cell: front, lane: left, speed: 1.0}", r"scenario.npcs.NPC 0\[0\].lane: expected the key 'cell' or 'speed'"),
-    ("{cell: front, speed: 22.3}", r"npcs.NPC 0\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
-    ("{lane: left, speed: 22.35}", r"speed: expected a speed of at least 0 m/s"),
+    ("{cell: front, speed: 22.3}", r"npcs.NPC 0\[1\].*: expected a PositionInstruction, as in npcs\[0\]\[0\]"),
+    ("{lane: left, speed: 22.35}", r"speed: expected a non-negative multiple of 0.1 m/s"),
 ])  # fmt: skip
 def test_broken_rule_of_lanes_is_reported_at_its_place(wrong, message):
     assert "    NPC 0: [{lane: left, speed: 22.3}, {lane: keep, speed: 24.1}]\n" in IN_LANES

@@ -97,8 +97,8 @@ def test_error_gives_place_expected_value_and_remedy(path):
     error = fault(path, swapped("{cell: front, speed: 8.0}", "{cell: rear-right, speed: 8.0}"))
     assert (error.line, error.field) == (6, "scenario.npcs.NPC 0[1].cell")
     assert str(error) == (
-        f"{path}:6: scenario.npcs.NPC 0[1].cell: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; "
-        "correct the value, or delete the file"
+        f"{path}:6: scenario.npcs.NPC 0[1].cell: expected cell 1 again, or one of the adjacent "
+        "cells 2 and 8, received cell 5; correct the value, or delete the file"
     )
 
 

@@ -148,7 +148,7 @@ class TestOwnSignals:
 
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
         assert run.signal(far, npc=1).tolist() == [50.0, 50.0]
-        with pytest.raises(ValueError, match="'far': expected an index such as npc=0, because the signal has a row"):
+        with pytest.raises(ValueError, match="'far': expected an index such as npc=0, because the signal has one row"):
             run.signal(far)
 
     def test_it_is_computed_once(self):
@@ -163,7 +163,7 @@ class TestOwnSignals:
         assert len(asked) == 1
 
     def test_an_array_of_another_shape_is_refused(self):
-        with pytest.raises(ValueError, match=r"an array with one value per tick, shape \(12,\), or one per NPC"):
+        with pytest.raises(ValueError, match=r"an array of shape \(12,\), with one value per tick, or \(3, 12\)"):
             random_run(6).signal(lambda trace: trace.times[1:])
 
 

@@ -69,18 +69,18 @@ class TestInstructions:
         assert math.copysign(1, crosses(slot=-0.0).slot) == 1
 
     @table(("changes", "message"), [
-        ({"zone": "o1"}, "zone: expected the entry and the exit of a path, such as \"o1>o3\", received 'o1'"),
+        ({"zone": "o1"}, "zone: expected the entry and exit of a path, such as \"o1>o3\", received 'o1'"),
         ({"zone": "o1>o3>o2"}, "zone: expected the entry"),
         ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
         ({"zone": "o1>o3\n"}, "zone: expected the entry"),
         ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
-        ({"slot": 0.55}, "slot: expected a number of seconds in steps of 0.1, received 0.55; the nearest valid slot"),
-        ({"slot": 5.1}, "slot: expected at most 5 seconds before or after the ego, received 5.1"),
+        ({"slot": 0.55}, "slot: expected a multiple of 0.1 s, received 0.55; the nearest valid slot"),
+        ({"slot": 5.1}, "slot: expected a time from -5 to 5 s relative to the ego, received 5.1"),
         ({"slot": math.nan}, "slot: expected a finite number"),
         ({"slot": "1"}, "slot: expected a finite number"),
         ({"speed": 0},
-         "speed: expected a speed above 0 m/s, because the NPC must arrive, received 0.0; use act"),
-        ({"speed": 8.65}, "speed: expected a speed of at least 0 m/s, in steps of 0.1"),
+         "speed: expected a speed above 0 m/s, so that the NPC reaches the zone, received 0.0; use act"),
+        ({"speed": 8.65}, "speed: expected a non-negative multiple of 0.1 m/s"),
     ])  # fmt: skip
     def test_what_is_wrong_is_refused_by_name(self, changes, message):
         with pytest.raises(ScenarioError, match="^" + re.escape(message)):
@@ -145,11 +145,11 @@ class TestScenarios:
         assert scenario.crossings == (None, crosses(), None)
 
     @table(("npcs", "message"), [
-        ([[crosses(), crosses()]], "npcs[0][1]: expected only one CrossingInstruction"),
-        ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
-        ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
-        ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),
-        ([[crosses(), LaneInstruction("keep", 1)]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
+        ([[crosses(), crosses()]], "npcs[0][1]: expected no second CrossingInstruction"),
+        ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction, as in npcs[0][0]"),
+        ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction, as in npcs[0][0]"),
+        ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction, as in npcs[0][0]"),
+        ([[crosses(), LaneInstruction("keep", 1)]], "npcs[0][1]: expected a CrossingInstruction, as in npcs[0][0]"),
     ])  # fmt: skip
     def test_crossing_npc_has_one_instruction_and_nothing_else(self, npcs, message):
         with pytest.raises(ScenarioError, match=re.escape(message)):

@@ -166,8 +166,8 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
 @table(("fields", "message"), [
     ({"npcs": []}, "npcs: expected 1 to 8 NPCs, at most one per cell, received 0"),
     ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
-    ({"npcs": [[(2, 20.0)]]}, "a LaneInstruction or a CrossingInstruction, received (2, 20.0); write Position"),
-    ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
+    ({"npcs": [[(2, 20.0)]]}, "LaneInstruction or a CrossingInstruction, received (2, 20.0); write, for example, Posi"),
+    ({"npcs": None}, "npcs: expected a list with one chain of instructions per NPC, received None; write npcs=[["),
     ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
     ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
     ({"seed": 1.5}, "seed: expected a whole number"),
@@ -185,7 +185,10 @@ def test_broken_field_is_refused_by_name(make, fields, message):
 
 
 def test_leap_across_the_ring_is_refused_with_alternatives():
-    expected = "npcs[0][1]: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; Scenario.repaired(...)"
+    expected = (
+        "npcs[0][1]: expected cell 1 again, or one of the adjacent cells 2 and 8, received cell 5; use "
+        "Scenario.repaired(...)"
+    )
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(5)]])
 
@@ -195,12 +198,14 @@ def test_error_fields_are_readable_also_after_pickling():
         Scenario(npcs=[[one(1), one(5)]])
     for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
         assert (error.field, error.received) == ("npcs[0][1]", "cell 5")
-        assert error.expected == "cell 1 again or its ring neighbour 2 or 8"
+        assert error.expected == "cell 1 again, or one of the adjacent cells 2 and 8"
         assert str(error) == f"{error.field}: expected {error.expected}, received {error.received}; {error.fix}"
 
 
 def test_two_npcs_in_one_cell_are_refused():
-    expected = "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell 2 of npcs[0]"
+    expected = (
+        "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell 2, which npcs[0] occupies"
+    )
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
 
@@ -234,7 +239,8 @@ class TestLaneInstructions:
 
     def test_lane_speed_between_tenths_is_refused(self):
         with pytest.raises(
-            ScenarioError, match=r"speed: expected a speed of at least 0 m/s, .* the nearest valid speed is 12\.3"
+            ScenarioError,
+            match=r"speed: expected a non-negative multiple of 0.1 m/s, .* the nearest valid speed is 12\.3",
         ):
             LaneInstruction("keep", 12.34)
 
@@ -259,7 +265,7 @@ class TestLaneInstructions:
     def test_mixed_kinds_in_a_chain_are_refused_with_place(self):
         lane = LaneInstruction("keep", 1.0)
         for chain, kind in (([one(), lane], "PositionInstruction"), ([lane, one()], "LaneInstruction")):
-            with pytest.raises(ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind} like npcs\[1\]\[0\]"):
+            with pytest.raises(ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind}, as in npcs\[1\]\[0\]"):
                 Scenario(npcs=([one()], chain))
 
     def test_npcs_may_differ_in_kind_and_only_cells_are_repaired(self):

@@ -48,12 +48,12 @@ def test_copied_or_pickled_trace_is_read_only(copied):
 
 @table("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
 def test_states_of_wrong_shape_are_refused(shape):
-    with pytest.raises(ValueError, match=r"states: expected shape \[ticks \+ 1, vehicles, 7\], received \("):
+    with pytest.raises(ValueError, match=r"states: expected the shape \(ticks \+ 1, vehicles, 7\), received \("):
         made(np.zeros(shape), np.zeros((2, 2)))
 
 
 def test_wrong_sizes_are_refused_with_both_shapes():
-    with pytest.raises(ValueError, match=r"sizes: expected shape \(2, 2\), received \(3, 2\)"):
+    with pytest.raises(ValueError, match=r"sizes: expected the shape \(2, 2\), received \(3, 2\)"):
         made(np.zeros((3, 2, 7)), np.zeros((3, 2)))
 
 

@@ -240,7 +240,9 @@ MESSAGES = {
     "world=steering, ads=lambda: lambda seen: np.zeros((1, 2))": ["use its first row, `action[0]`"],
     "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
-    "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
+    "world='highway-v9'": [
+        "expected a registered environment, received 'highway-v9'; did you mean 'highway-v0'? highway-env's straight *"
+    ],
     "world='builtins:print'": [
         "the factory 'builtins:print' to return pafot.Highway(*, received None. Return a world, such as pafot.World("
     ],

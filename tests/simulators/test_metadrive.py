@@ -16,29 +16,31 @@ NEEDS_3_11 = pytest.mark.skipif(sys.version_info >= (3, 12), reason="there is no
 @NEEDS_3_11
 def test_without_metadrive_the_error_names_the_extra(monkeypatch):
     monkeypatch.setattr(metadrive, "find_spec", lambda name: None)
-    with pytest.raises(WorldError, match=r"MetaDrive 0.4.3, received none; .*pip install 'pytest-pafot\[metad"):
+    with pytest.raises(
+        WorldError, match=r"0.4.3 in Python 3.11, received no MetaDrive; run `pip install 'pytest-pafot\[metad"
+    ):
         _ = pafot.metadrive().road
 
 
 def test_with_a_later_python_the_error_names_the_python(monkeypatch):
     monkeypatch.setattr(metadrive, "version_info", (3, 13, 1))
-    with pytest.raises(
-        WorldError, match=r"received Python 3.13; in an environment with Python 3.11, which MetaDrive needs, run"
-    ):
+    with pytest.raises(WorldError, match=r"received Python 3.13; run `pip install '.*'` with Python 3.11"):
         _ = pafot.metadrive().road
 
 
 @table(("arguments", "message"), [
-    ({"map": "SXS"}, 'map: expected a string of "S" (straight) and "C" (curve), such as "SSSCSS", received \'SXS\''),
+    ({"map": "SXS"},
+     'map: expected a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS", received \'SXS\''),
     ({"map": ""}, "map: expected a string"),
     ({"map": 3}, "map: expected a string"),
     ({"lanes": 0}, "lanes: expected a whole number from 1 to 12, received 0"),
-    ({"observation": "camera"}, 'observation: expected None for a planner, "lidar" or "vehicle", received \'camera\''),
-    ({"sensors": {"camera": {}}}, "sensors: expected settings of lidar, side_detector, lane_line_detector: num_las"),
+    ({"observation": "camera"},
+     'observation: expected None (for a planner), "lidar" or "vehicle", received \'camera\''),
+    ({"sensors": {"camera": {}}}, "sensors: expected only num_lasers and distance for lidar, side_detector, lane_l"),
     ({"sensors": {"lidar": {"gaussian_noise": 0.1}}}, "received {'lidar': {'gaussian_noise': 0.1}}"),
-    ({"sensors": {"side_detector": {"num_others": 1}}}, "sensors: expected settings"),
+    ({"sensors": {"side_detector": {"num_others": 1}}}, "sensors: expected only num_lasers"),
     ({"sensors": {"lidar": {"num_lasers": -1}}}, "sensors.lidar.num_lasers: expected a whole number from 0 to 1000"),
-    ({"sensors": ["lidar"]}, "sensors: expected settings of lidar"),
+    ({"sensors": ["lidar"]}, "sensors: expected only num_lasers and distance for lidar"),
 ])  # fmt: skip
 def test_wrong_arguments_are_refused_by_name(monkeypatch, arguments, message):
     monkeypatch.setattr(metadrive, "find_spec", lambda name: True)

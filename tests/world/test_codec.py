@@ -118,21 +118,21 @@ def test_tuples_and_arrays_become_lists_with_equal_meaning():
     ({"kind": "carla"}, "world.kind: expected one of gym, highway, metadrive, sumo, received 'carla'"),
     *(({"kind": kind, "data": {"lanes": 3}}, f"one of gym, highway, metadrive, sumo, received {kind!r}")
       for kind in ("rings", "tests.world.test_codec:Ring", "os:system", "", None)),
-    ({"kind": "sumo"}, "world (kind sumo): expected the field data, received none"),
-    ({"kind": "sumo", "lanes": 3}, "world (kind sumo): expected the field data, received lanes"),
-    ({"kind": "highway", "ego": "tram"}, "ego: vehicle: expected one of car, van, truck, motorcycle, or pafot.Veh"),
+    ({"kind": "sumo"}, "world (kind sumo): expected only the field 'data', received none"),
+    ({"kind": "sumo", "lanes": 3}, "world (kind sumo): expected only the field 'data', received lanes"),
+    ({"kind": "highway", "ego": "tram"}, "ego: expected car, van, truck, motorcycle or pafot.Veh"),
     ({"kind": "highway", "ego": {"name": "slow", "length": 9, "width": 2, "braking": 5}},
      "ego: expected a vehicle that can brake at 6"),
-    ({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]}, "world.wrappers: expected none, "
-     "because a file contains no code, received ['FlattenObservation']; use pafot.World(..., wrappers=[...]) in the "
-     "test, or --world module:factory"),
-    ({"kind": "highway", "lane": 3}, "world (kind highway): expected the fields ads_hz, clearance, duration, "),
+    ({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]}, "world.wrappers: expected no "
+     "wrappers, because a file cannot contain code, received ['FlattenObservation']; use pafot.World(..., wrappers="
+     "[...]) in the test, or --world module:factory"),
+    ({"kind": "highway", "lane": 3}, "world (kind highway): expected no fields other than ads_hz, clearance, durat"),
     ({"kind": "highway", "lanes": 9}, "lanes: expected a whole number from 3 to 6, received 9"),
     ({"kind": "highway", "limits": 5}, "world.limits: expected a mapping, received 5"),
-    ({"kind": "highway", "limits": {"yerk": 5}}, "world.limits: expected the fields acceleration, braking"),
+    ({"kind": "highway", "limits": {"yerk": 5}}, "world.limits: expected no fields other than acceleration, braking"),
     ({"kind": "highway", "limits": {"jerk": "x"}}, "limits.jerk: expected a number from 0.1 to 1000, received 'x'"),
-    ({"kind": "gym"}, 'world.env_id: expected the id of a registered environment, such as "highway-v0"'),
-    ({"kind": "gym", "env_id": "os:system"}, "env_id: expected the id of a registered environment without"),
+    ({"kind": "gym"}, 'world.env_id: expected an environment id, such as "highway-v0", received none'),
+    ({"kind": "gym", "env_id": "os:system"}, "env_id: expected the id of a registered environment, without"),
     ({"kind": "gym", "env_id": "highway-v0", "config": []}, "config: expected a dict of the environment's options"),
 ])  # fmt: skip
 def test_faulty_data_is_refused_with_place_and_expectation(data, message):
@@ -147,7 +147,7 @@ def test_faulty_data_is_refused_with_place_and_expectation(data, message):
 def test_file_may_not_name_code_outside_highway_env(path):
     before = set(sys.modules)
     data = {"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}}
-    with pytest.raises(WorldError, match=r"world\.config\.other_vehicles_type: expected a class of highway_env\.veh"):
+    with pytest.raises(WorldError, match=r"world\.config\.other_vehicles_type: expected a class in highway_env\.veh"):
         from_dict(data)
     assert set(sys.modules) == before
 

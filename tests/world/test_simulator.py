@@ -377,7 +377,8 @@ def test_hz_of_a_simulator_that_states_dt_follows_from_it():
 
 
 @table(("members", "ads_hz", "message"), {
-    "both": ({"hz": 20, "dt": 0.03}, None, r"Broken.dt: expected 1 / hz = 0.05 s, received 0.03 s; set only dt or hz"),
+    "both": ({"hz": 20, "dt": 0.03}, None,
+             r"Broken.dt: expected 1 / hz = 0.05 s, received 0.03 s; set only dt or only hz"),
     "milliseconds": ({"hz": 33.3, "dt": 30}, None, r"Broken.dt: expected a number from 0.001 to 0.2 seconds, rec"),
     "too fast": ({"hz": 2000.0}, None, r"Broken.hz: expected a number from 5 to 1000, received 2000"),
     "a text": ({"hz": "15"}, None, r"Broken.hz: expected a number from 5 to 1000, received '15'"),
@@ -385,10 +386,10 @@ def test_hz_of_a_simulator_that_states_dt_follows_from_it():
                                 r"by a whole number, received 10; use 11.1111 or 8.33333"),
     "more decisions than ticks": ({"hz": 15}, 20, r"received 20; use 15$"),
     "decisions between ticks of a whole hz": ({"hz": 15}, 4, r"received 4; use 5 or 3.75"),
-    "no rear axle": ({"reference": "rear axle"}, None, r"Broken.rear_axle_offset: expected the distance .*, received "
-                     r'None; with reference = "rear axle", set rear_axle_offset, for example to 1.4'),
-    "a rear axle of a centre": ({"rear_axle_offset": 1.4}, None, r"rear_axle_offset: expected none with reference = "
-                                r"'centre', received 1.4; set reference = \"rear axle\", or omit this"),
+    "no rear axle": ({"reference": "rear axle"}, None, r"Broken.rear_axle_offset: expected the distance .*, because "
+                     r"reference = 'rear axle', received None; write, for example, rear_axle_offset = 1.4"),
+    "a rear axle of a centre": ({"rear_axle_offset": 1.4}, None, r"rear_axle_offset: expected None, because reference "
+                                r"= 'centre', received 1.4; remove it, or set reference = 'rear axle'"),
     "a negative offset": ({"reference": "rear axle", "rear_axle_offset": -1.4}, None, r"from 0.1 to 20 metres"),
     "another point": ({"reference": "rear_axle"}, None,
                       r"Broken.reference: expected one of 'centre', 'front', 'rear axle', received 'rear_axle'"),
@@ -495,28 +496,31 @@ def raising(self, controls):
 @table(("members", "message"), {
     "no ticks": ({"hz": 0}, r"Broken.hz: expected a number from 5 to 1000, received 0"),
     "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected at least two points \(x, y\)"),
-    "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the previous point again"),
+    "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)},
+     r"Broken.lanes\[0\]\[2\]: .* at least 1 mm from the previous point, received a closer"),
     "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
     "no lane there": ({"start_lane": 7}, r"Broken.start_lane: expected a whole number from 0 to 3"),
-    "odd obstacles": ({"obstacles": ((1, 2),)}, r"Broken.obstacles\[0\]: expected x, y, heading, length and width"),
+    "odd obstacles": ({"obstacles": ((1, 2),)},
+     r"Broken.obstacles\[0\]: expected five numbers: the x, y, heading, length and width"),
     "too few rows": ({"states": lambda self: self.cars[1:]}, r"Broken.states, tick 0: expected .* of 2 vehicles"),
     "no numbers": ({"states": lambda self: [self.cars[0], [math.nan] * 4]},
                    r"Broken.states, tick 0: expected finite numbers, received x = nan for NPC 0"),
     "another order": ({"states": lambda self: self.cars[::-1]},
      r"Broken.states, tick 0 after start: expected x = 200.00 for the ego"),
-    "lanes as a text": ({"lanes": "four"}, r"Broken.lanes: expected a list or tuple of centre lines, or a number"),
+    "lanes as a text": ({"lanes": "four"},
+     r"Broken.lanes: expected a list or tuple of centre lines, or a number of lanes"),
     "no headings": ({"headings": "north"}, r"Broken.headings: expected one of 'x to y', 'x to -y', 'y to -x'"),
     "no mapping": ({"to_dict": lambda self: [1]}, r"Broken.to_dict\(\): expected a dict with the arguments of the"),
     "degrees": ({"states": lambda self: [(*car[:2], math.degrees(car[2]) + 90.0, car[3]) for car in self.cars]},
-                r"tick 0 after start: expected heading = 0.00 for the ego, .* states returned .*, heading = 90,"),
+                r"tick 0 after start: expected heading = 0.00 for the ego .* states returned .*, heading = 90,"),
     "headings from y": ({"states": lambda self: [(*car[:2], math.pi / 2 - car[2], car[3]) for car in self.cars]},
-     r"expected heading = 0.00 for the ego, .* received 1.57; .* start received .* heading = 0, .* = 1.5708,"),
+     r"expected heading = 0.00 for the ego .* received 1.57; .* start received .* heading = 0, .* = 1.5708,"),
     "km/h": ({"states": lambda self: [(*car[:3], car[3] * 3.6) for car in self.cars]},
-             r"expected speed = 22.00 for the ego, .* start received .* = 22, and states returned .* = 79.2. To find"),
+             r"expected speed = 22.00 for the ego .* start received .* = 22, and states returned .* = 79.2. To find"),
     "front bumper": ({"states": lambda self: [(car[0] + 2.5, *car[1:]) for car in self.cars]},
-     r"expected x = 200.00 for the ego, .* received 202.50; .* received x = 200, .* states returned x = 202.5,"),
+     r"expected x = 200.00 for the ego .* received 202.50; .* received x = 200, .* states returned x = 202.5,"),
     "y to the left": ({"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
-     r"expected y = 4.00 for the ego, .* start received x = 200, y = 4, .* states returned x = 200, y = -4,"),
+     r"expected y = 4.00 for the ego .* start received x = 200, y = 4, .* states returned x = 200, y = -4,"),
 }.values())  # fmt: skip
 def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message):
     with pytest.raises(WorldError, match=message):
@@ -530,7 +534,7 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
 def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
     """Each name is in this file once, as it would be in a user's class."""
     with pytest.raises(
-        WorldError, match=rf"Broken\.{name}: .* attribute that nothing reads; write {write}, or _{name} "
+        WorldError, match=rf"Broken\.{name}: .* attribute that nothing reads; write {write}, or rename it to _{name} "
     ):
         broken(**{name: True}).check()
 
@@ -571,11 +575,13 @@ def before(self, controls):
 
 
 @table(("members", "received"), {
-    "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; are hz, units and axes correct"),
+    "a compass": ({"step": along(math.sin, math.cos)},
+                  r"90 degrees away from that direction; are hz, the units and axes correct"),
     "x to the north": ({"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
-                       r"90 degrees away from it; are hz, units and axes correct"),
-    "km/h": ({"step": along(lambda _: 1 / 3.6, math.sin)}, r"0.41 m, 0 degrees away from it; are hz, units and axes"),
-    "other ticks": ({"hz": 20}, r"0 degrees away from it; are hz, units and axes correct"),
+                       r"90 degrees away from that direction; are hz, the units and axes correct"),
+    "km/h": ({"step": along(lambda _: 1 / 3.6, math.sin)},
+             r"0.41 m, 0 degrees away from that direction; are hz, the units and axes"),
+    "other ticks": ({"hz": 20}, r"0 degrees away from that direction; are hz, the units and axes correct"),
     "old states": ({"step": before, "states": lambda self: getattr(self, "last", self.cars)},
                    r"0.00 m, .* states return the states after the step\? .* call pytest_pafot.testing.check_world"),
 }.values())  # fmt: skip
@@ -618,13 +624,13 @@ def test_decision_that_hangs_ends_the_run_and_not_the_simulator():
 def test_ads_of_another_kind_is_refused(given):
     from highway_env.vehicle.behavior import IDMVehicle
 
-    with pytest.raises(AdsFactoryError, match=r"expected a callable from a pafot\.Observation"):
+    with pytest.raises(AdsFactoryError, match=r"expected a callable that turns a pafot\.Observation"):
         TOY.rollout(scenarios()[0], IDMVehicle if given == "class" else lambda env: None)
 
 
 @table("given", [Bicycle(), 3, "toy"])
 def test_object_instead_of_a_class_is_refused_with_what_to_write(given):
-    with pytest.raises(WorldError, match=r"simulator: expected the class .* write pafot.SimulatorWorld\("):
+    with pytest.raises(WorldError, match=r"simulator: expected a subclass .* write pafot.SimulatorWorld\("):
         SimulatorWorld(given)
 
 
@@ -899,7 +905,7 @@ def test_simulator_that_accepts_all_actions_still_refuses_none():
 
 @table(("members", "error", "message"), {
     "check_action without a return": ({"check_action": lambda self, action: None}, WorldError,
-        r"Odd.check_action: expected the action as its return value, received None; is a `return` missing\?"),
+        r"Odd.check_action: expected the method to return the action, received None; is a `return` missing\?"),
     "observe that fails": ({"observe": raising}, TypeError, "missing 1 required positional argument"),
     "no observe": ({"observe": Simulator.observe}, WorldError, "Odd.observe: expected a method, because native is"),
     "native as a number": ({"native": 1}, WorldError, "Odd.native: expected True or False, received 1"),
@@ -910,7 +916,7 @@ def test_native_simulator_that_is_wrong_is_no_error_of_the_policy(members, error
 
 
 def test_policy_of_a_native_simulator_has_no_imperfect_sight():
-    with pytest.raises(AdsFactoryError, match="a policy for the observations of an environment"):
+    with pytest.raises(AdsFactoryError, match="a policy that uses an environment's observations"):
         PEDALS.rollout(SLOWER, Perception(Following, latency=0.5))
 
 

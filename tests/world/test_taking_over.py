@@ -90,10 +90,10 @@ def test_new_driver_wants_ego_speed_from_before_braking():
 
 
 @table(("tick", "name", "world", "message"), [
-    (10, "me", HIGHWAY, "expected one of careful-human, received 'me'"),
+    (10, "me", HIGHWAY, "expected careful-human, received 'me'"),
     (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, from 0 to .*, received -1"),
     (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, from 0 to .*, received 1000000"),
-    (10, "careful-human", Highway(physics_hz=30), "trace: expected a run in this world, with 30 .* received one w"),
+    (10, "careful-human", Highway(physics_hz=30), "trace: expected a run in this world, with 30 .* received a run w"),
 ])  # fmt: skip
 def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
     trace = HIGHWAY.rollout(BRAKES, weaving)
@@ -128,7 +128,7 @@ def test_error_of_a_simulator_while_a_driver_takes_over_names_the_driver():
     world = SimulatorWorld(Jams)
     short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=5.0)
     run = world.run_of(world.rollout(short, lambda: lambda seen: (0.0, 0.0)))
-    told = "^the world SimulatorWorld could not run take_over with the driver 'careful-human': KeyError: 'jammed'"
+    told = "^take_over with the driver 'careful-human' failed in the SimulatorWorld: KeyError: 'jammed'"
     with pytest.raises(DriverError, match=told):
         run.take_over.lasting(14.0)(run.trace, 3)
 

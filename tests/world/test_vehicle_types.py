@@ -214,7 +214,7 @@ def test_a_vehicle_class_of_another_size_is_refused():
     for world in (Highway(), Highway(ego=TRUCK), World("highway-v0", ego=TRUCK)):
         for factory in (lambda: Bus, lambda: partial(Bus, enable_lane_change=False)):
             assert world.rollout(scenario, factory).sizes[0].tolist() == [12.0, 2.55]
-    with pytest.raises(WorldError, match=r"ego: expected the size of Bus, 12 x 2.55 m, received van"):
+    with pytest.raises(WorldError, match=r"ego: expected a vehicle with the size of Bus, 12 x 2.55 m, received van"):
         Highway(ego=VAN).rollout(scenario, lambda: Bus)
 
 

@@ -49,7 +49,7 @@ def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
     """
     if isinstance(space, (spaces.Discrete, spaces.Box)):
         return
-    expected, received = "a discrete or continuous action for one vehicle", f"the space {space}"
+    expected, received = "a discrete or continuous action space for one vehicle", str(space)
     if wrappers:
         received = f"{received} in {', '.join(wrappers)}"
         fix = "make the action_space of the wrappers a Discrete or a Box"

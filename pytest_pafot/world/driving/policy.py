@@ -51,7 +51,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     if not callable(factory):
         hint = hint_at_object(factory) or "Return a factory from the fixture, for example `return lambda: MyPlanner()`"
         raise AdsFactoryError(
-            "ads: expected a factory, a callable that returns a fresh ADS for each scenario, received "
+            "ads: expected a factory (a callable that returns a new ADS for each scenario), received "
             f"{shown(factory)}. {hint}"
         )
     _check_call(factory, arguments)
@@ -106,7 +106,7 @@ def _check_sight_is_told(factory: AdsFactory, sight: Sight) -> None:
     if getattr(seeing, "sight", None) != sight:
         raise AdsFactoryError(
             f"ads: expected a pafot.Perception as the factory itself, received {shown(factory)}, "
-            f"which uses a pafot.Perception. Findings would not state the imperfect perception. Write "
+            f"which uses a pafot.Perception inside. Findings would not record the imperfect perception. Write "
             "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return this object from the fixture"
         )
 
@@ -168,7 +168,7 @@ def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
         vehicle.route = list(route)
 
 
-DRIVES_ITSELF = "a highway-env vehicle class reads the road itself, so nothing can be hidden from it"
+DRIVES_ITSELF = "use a planner, because a vehicle class reads the road itself, so nothing can be hidden from it"
 
 
 @dataclass(frozen=True)
@@ -199,13 +199,13 @@ class Perception(Sight):
         object.__setattr__(self, "__wrapped__", self.ads)  # inspect then returns the signature of this factory
         fix = ""
         if isinstance(self.ads, Perception):
-            fix = "pass all imperfections to one Perception"
+            fix = "set all imperfections in one pafot.Perception"
         elif is_vehicle_class(self.ads):
             fix = DRIVES_ITSELF
         elif not callable(self.ads):
-            fix = "pass a function or a class that makes an ADS, for example `pafot.Perception(MyPlanner, latency=0.3)`"
+            fix = "pass a function or class that returns an ADS, as in `pafot.Perception(MyPlanner, latency=0.3)`"
         if fix:
-            raise refused_policy("a factory that makes an ADS for each scenario", shown(self.ads), fix)
+            raise refused_policy("a factory that returns a new ADS for each scenario", shown(self.ads), fix)
 
     @property
     def sight(self) -> Sight:
@@ -214,12 +214,12 @@ class Perception(Sight):
     def __call__(self, *observations: Any, **arguments: Any) -> Any:
         """Create a fresh ADS with this perception."""
         if observations:
-            received = "a call with an observation, as if it were the ADS"
+            received = "a call with an observation, as if the Perception were the ADS"
             fix = "write `ads=pafot.Perception(MyPlanner, ...)`, or return this object from the fixture"
-            raise refused_policy("a pafot.Perception that is used as the factory", received, fix)
+            raise refused_policy("a pafot.Perception to be used as the factory", received, fix)
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):
-            raise refused_policy("a factory of callables in a Perception", shown(ads), DRIVES_ITSELF)
+            raise refused_policy("the factory in a pafot.Perception to return a callable", shown(ads), DRIVES_ITSELF)
         return SeeingAds(ads, self.sight)
 
 
@@ -232,7 +232,7 @@ class SeeingAds:
 
     def __call__(self, *_: Any) -> Any:
         expected = "pafot.Highway or pafot.World for an ADS in a pafot.Perception"
-        received, fix = "a world that calls the ADS directly", "apply the imperfect perception in that world"
+        received, fix = "a world that calls the ADS directly", "implement the imperfect perception in that world"
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
 
     @property
@@ -297,9 +297,9 @@ class Ads:
             AdsFactoryError: for imperfect perception, which only planners in SI units can have.
         """
         if self.sight is not None and self.sight.imperfections:
-            received = "a policy for the observations of an environment"
-            fix = "write a wrapper that changes these observations"
-            raise refused_policy("a planner in SI units in a pafot.Perception", received, fix)
+            received = "a policy that uses an environment's observations"
+            fix = "to make these imperfect, write a wrapper"
+            raise refused_policy("the ADS in a pafot.Perception to be a planner in SI units", received, fix)
         return self.decides
 
 

@@ -194,7 +194,7 @@ def _connect_planner(
     if road is None:
         raise WorldError(
             f"world: expected a straight road for a planner in SI units, received the road of {type(env).__name__}; "
-            "use a policy with the environment's own observations and actions, or a vehicle class"
+            "use a policy for the environment's own observations and actions, or a vehicle class"
         )
     ego, every = env.vehicle, hz // PLANNER_HZ or 1
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]

@@ -210,7 +210,7 @@ def replay_environment(
     if policy.simulates:
         if environment.wrappers is not None:
             raise WorldError(
-                f"wrappers: expected no wrappers= for a factory with a parameter `env`, received "
+                f"wrappers: expected no wrappers= for a factory with the parameter `env`, received "
                 f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}; omit wrappers=, because a planner that "
                 f"simulates inside the environment uses the environment's observations and actions without wrappers"
             )

@@ -167,9 +167,9 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     except TypeError as error:
         raise WorldError(
             field="env_id",
-            expected="an ego whose class can be called with (road, position, heading, speed), to start at any position",
+            expected="an ego whose class can be called with (road, position, heading, speed)",
             received=f"{type(own).__name__}{signature} ({error})",
-            fix="give its other arguments defaults",
+            fix="give the other parameters default values",
         ) from None
     ego = vehicle_of(built_as(rules.ego, type(own)), env.road, start, speed, environment.route)
     give_speeds(ego, getattr(own, "target_speeds", None))

@@ -365,8 +365,8 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
     size, own = (kind.length, kind.width), (vehicle_class.LENGTH, vehicle_class.WIDTH)
     if own not in (size, (CAR.length, CAR.width)):
         name = vehicle_class.__name__
-        expected = f"the size of {name}, {own[0]:g} x {own[1]:g} m"
-        fix = f"omit ego= in the world, or LENGTH and WIDTH in {name}"
+        expected = f"a vehicle with the size of {name}, {own[0]:g} x {own[1]:g} m"
+        fix = f"omit ego= in the world, or remove LENGTH and WIDTH from {name}"
         raise WorldError(field="ego", expected=expected, received=kind.described, fix=fix)
 
     def clip_actions(self: Any) -> None:

@@ -337,7 +337,7 @@ class NativeDriver(PlannerDriver):
         if self._action is None:
             place = f"{type(simulation.simulator).__name__}.check_action"
             fix = "is a `return` missing?"
-            raise WorldError(field=place, expected="the action as its return value", received="None", fix=fix)
+            raise WorldError(field=place, expected="the method to return the action", received="None", fix=fix)
         simulation.action = self._action
         self.ego.acceleration = self.ego.steering = 0.0
 
@@ -459,11 +459,11 @@ class Simulation:
                 if abs(value - wanted) <= largest:
                     continue
                 place = f"{self._place('states')} after {method}"
-                expected = f"{name} = {wanted:.2f} for {named(number)}, in m, rad and m/s with y to the right"
+                expected = f"{name} = {wanted:.2f} for {named(number)} (in m, rad and m/s, with y to the right)"
                 fix = "put each vehicle into the requested state, in the given order"
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
-                    fix += f"; start received {received}, and states returned {states_has}"
+                    fix += f". In this run, start received {received}, and states returned {states_has}"
                 raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
 
     def _check_way(self, rows: list[list[float]]) -> None:
@@ -479,9 +479,9 @@ class Simulation:
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
             expected = f"{named(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
-            turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
-            received = f"{math.hypot(*way):.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
-            fix = f"are hz, units and axes correct, and does states return the states after the step? {CAUSE}"
+            turned = abs((math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1])) + 180.0) % 360.0 - 180.0)
+            received = f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees away from that direction"
+            fix = f"are hz, the units and axes correct, and does states return the states after the step? {CAUSE}"
             raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
     def _place(self, method: str) -> str:

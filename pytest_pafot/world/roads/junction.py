@@ -283,7 +283,7 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
-    # Return, for each point of a path, the index in `Trace.lanes` of the lane there.
+    # For each point of a path, the index of its lane in `Trace.lanes`.
     others = {index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)}
     parts = np.full(len(line.x), -1)
     for number, piece in enumerate(pieces):

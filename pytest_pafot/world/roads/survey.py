@@ -101,9 +101,9 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     if road.end - road.start < 2 * CAR.length:
         raise WorldError(
             field=name,
-            expected="a road that continues ahead of the ego's start",
-            received=f"a road that ends {road.end - start:.0f} m ahead of it",
-            fix="give the ego a route, or start it further back",
+            expected=f"a road that continues for at least {2 * CAR.length:g} m ahead of the ego's start",
+            received=f"a road that ends after {road.end - start:.1f} m",
+            fix="give the ego a route, or a start that is farther from the end",
         )
     return road
 
@@ -158,7 +158,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
-    # Return, by number, the lateral distance, the lane and the position along it for each lane at a point of the line.
+    # By number, for each lane at a point of the line: the lateral distance, the lane and the position along the lane.
     x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
     place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
     origin, end, own = piece.index
@@ -226,7 +226,7 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    # X [m], y [m], direction [rad] and distance [m] from the start at each point of one part of a lane.
+    # x [m], y [m], direction [rad] and distance [m] from the start at each point of one part of a lane.
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
@@ -414,20 +414,20 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             continue
         apart, least, most = float(np.nanmedian(across)), float(np.nanmin(across)), float(np.nanmax(across))
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
-            expected = f"a lane {width:g} m to the right of lanes[{number - 1}] along its complete length"
+            expected = f"a lane {width:g} m to the right of lanes[{number - 1}] along its entire length"
             received = f"a lane that is {least:.1f} to {most:.1f} m to the right"
-            fix = "are the lines shifted along an axis instead of across the road?"
+            fix = "are the lines shifted along a coordinate axis instead of across the road?"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < 0.0:
-            expected = "lanes from left to right, as a driver sees them"
+            expected = "lanes in order from left to right, as a driver sees them"
             received = f"a lane {-apart:.1f} m to the left of the previous lane"
-            fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, write lanes[::-1]"
+            fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, reverse the list of lanes"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
                 f"at most {apart:.2f} m, the distance between the centre lines of lanes {number - 1} and {number}"
             )
-            fix = "are lane_width and the points of lanes in the same unit, as stated by `metres`?"
+            fix = "are lane_width and the points of the lanes in the unit that `metres` specifies?"
             raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix)
 
 

@@ -55,7 +55,7 @@ def test_world_that_is_code_is_named(tmp_path, capsys):
         capsys.readouterr().err
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
-    assert "received a simulator of the class OtherRoad; a file contains no code, " in capsys.readouterr().err
+    assert "received a simulator of the class OtherRoad; a file cannot contain code, " in capsys.readouterr().err
     assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 

@@ -130,13 +130,13 @@ def test_ads_is_closed_and_gains_no_methods():
 
 
 @table(("make", "error", "message"), [
-    (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class reads the road itself"),
-    (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
-    (lambda: pafot.Perception(42), AdsFactoryError, "pass a function or a class that makes an ADS"),
+    (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a vehicle class reads the road itself"),
+    (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections in one"),
+    (lambda: pafot.Perception(42), AdsFactoryError, "pass a function or class that returns an ADS"),
     (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
-    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a factory of callables in a Perception"),
+    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "the factory in a pafot.Perception to return a callable"),
     (lambda: pafot.Perception(Watching)("what is seen"), AdsFactoryError,
-     "that is used as the factory, received a call with an observation"),
+     "to be used as the factory, received a call with an observation"),
     (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(make, error, message):
@@ -168,7 +168,9 @@ def test_functools_wrapper_reveals_the_perception_it_wraps():
 
 @pytest.mark.parametrize("rollout", ["rollout", "rollout_in_gym"])
 def test_policy_for_the_observations_of_an_environment_is_refused(rollout):
-    with pytest.raises(AdsFactoryError, match=r"^ads: expected a planner in SI units in a pafot\.Perception"):
+    with pytest.raises(
+        AdsFactoryError, match=r"^ads: expected the ADS in a pafot\.Perception to be a planner in SI units"
+    ):
         getattr(pafot.World("highway-v0", {"action": {"type": "DiscreteMetaAction"}}), rollout)(
             SCENARIO, pafot.Perception(lambda: lambda observation: 1, latency=0.2)
         )

@@ -128,7 +128,7 @@ def test_a_planner_needs_a_straight_road():
 
 def test_imperfect_sight_needs_a_planner():
     blind = pafot.Perception(constant_speed.make, range=1.0)
-    with pytest.raises(AdsFactoryError, match=r"expected a planner in SI units in a pafot\.Perception"):
+    with pytest.raises(AdsFactoryError, match=r"expected the ADS in a pafot\.Perception to be a planner"):
         drive_episode(FAST, blind, 0)
     seen = []
     looks = pafot.Perception(lambda: lambda now: seen.append(now) or (0.0, 0.0), range=1.0)

@@ -158,5 +158,5 @@ def test_world_for_planners_refuses_policy_options():
         World("intersection-v0", planner_hz=4).check()
     with pytest.raises(WorldError, match="wrappers: expected no wrappers with planner_hz="):
         World("intersection-v0", planner_hz=5, wrappers=[gymnasium.wrappers.FlattenObservation])
-    with pytest.raises(AdsFactoryError, match="without a parameter `env`"):
+    with pytest.raises(AdsFactoryError, match="without the parameter `env`"):
         WORLD.rollout(scenario_of(WORLD), lambda env: SimpleNamespace())

@@ -101,7 +101,7 @@ def test_cells_exist_only_on_lanes_in_ego_direction():
 
 def test_more_npcs_than_start_cells_is_clear_error():
     world = world_of("roundabout-v1")
-    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one per cell that exists around lane 1"):
+    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one for each cell around lane 1"):
         world.rollout(hold(world, 2, 6, 7), idm)
     with pytest.raises(ScenarioError, match=r"ego_lane: expected a lane that exists at the ego's start \(1\), rec"):
         world.rollout(hold(world, 2, ego_lane=0), idm)
@@ -399,7 +399,9 @@ def test_way_ends_with_the_lane_of_a_ramp():
 
 @pytest.mark.usefixtures("registered")
 def test_road_that_ends_ahead_of_ego_is_refused():
-    with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that continues ahead of the ego's start"):
+    with pytest.raises(
+        WorldError, match="OwnDeadEnd-v0: expected a road that continues for at least 10 m ahead of the ego's start"
+    ):
         World("OwnDeadEnd-v0").check()
 
 
