@@ -171,7 +171,7 @@ def _deed(
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin
-        when = f" after {(since + first) / hz:.1f} s" if first else ""
+        when = f" from {(since + first) / hz:.1f} s" if first else ""
         told += [_kept(part[0])] if first and not told else []
         hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
         is_braking = change < 0 and hardest >= BRAKES

@@ -71,7 +71,7 @@ def sentence(seconds: float) -> str:
     """Return the sentence that states a result of :func:`latest`."""
     if not seconds:
         return f"A careful driver who took over in the last {WINDOW:g} s could not reliably have avoided it."
-    return f"A careful driver who took over at least {seconds:g} s before the impact would have avoided it."
+    return f"A careful driver who took over {seconds:g} s before the impact would have avoided it."
 
 
 def _tick(trace: Trace, seconds: float) -> int:

@@ -238,7 +238,7 @@ def _files_below(
                     problems.append(refusal(file))
                     yield file, True
     if queue:
-        problems.append(f"the list of saved scenarios may be incomplete: the limit of folders is {MAX_FOLDERS:,}")
+        problems.append(f"the list of saved scenarios may be incomplete: it covers only {MAX_FOLDERS:,} folders")
 
 
 def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:

@@ -43,7 +43,7 @@ MAX_FINDS = 20
 MAX_ANNOTATED = 5
 MAX_LEFT = 5
 MAX_REPLAYS = 10
-# Why a search ended early, as the end of a sentence.
+# Why a search ended early, as the end of a sentence, if the reason is known.
 WHY = {Ending.FINDINGS: "there were enough findings", Ending.REPLAYS: "it only replayed", Ending.ERROR: "of an error",
        Ending.INTERRUPTED: "it was interrupted", Ending.MAX_TIME: f"of {Ending.MAX_TIME}"}  # fmt: skip
 
@@ -237,10 +237,10 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     if not search.reason.is_complete:
         made = {"generations": search.generations, "runs": search.runs}
         left = [f"{made[what]} of {most} {what}" for what, most in search.asked.items() if made[what] < most]
-        texts.append(f"It ended early{', after ' if left else ''}{listed(left)}, because {WHY[search.reason]}")
-    folders = dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path)  # noqa: PTH120
-    tail = "" if os.environ.get(OF_SEARCH) else ". Commit the files"
-    texts += [f"Saved in {' and '.join(folders)}{tail}"] if folders else []
+        because = f", because {WHY[search.reason]}" if search.reason else ""
+        texts.append(f"It ended early{', after ' if left else ''}{listed(left)}{because}")
+    folders = " and ".join(dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path))  # noqa: PTH120
+    texts += [f"Saved in {folders}" + ". Commit the files" * (not os.environ.get(OF_SEARCH))] if folders else []
     texts += [f"Not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path)]
     texts += [capitalised(search.compared)] if search.compared else []
     if search.no_worse:

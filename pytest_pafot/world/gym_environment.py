@@ -444,7 +444,7 @@ class GymEnvironment:
 
     @property
     def has_own_ends(self) -> bool:
-        """Whether an episode can end before the run has reached its duration.
+        """True if an episode can end before the run has reached its duration.
 
         This includes all environments with a user's ``step``, because the return value of ``step`` is not known in
         advance.
@@ -453,7 +453,7 @@ class GymEnvironment:
 
     @cached_property
     def ends_in_steps(self) -> bool:
-        """Whether runs must call ``step`` to find out if an episode has ended.
+        """True if runs must call ``step`` to find out if an episode has ended.
 
         A wrapper, a step limit that encloses other wrappers, or the environment's own ``step`` can then end the
         episode.

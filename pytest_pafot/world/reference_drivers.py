@@ -97,7 +97,7 @@ class Leader(NamedTuple):
 
     @property
     def is_critical(self) -> bool:
-        """Whether a careful driver behind this vehicle has to brake hard."""
+        """True if a careful driver behind this vehicle has to brake hard."""
         near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
         is_braking = self.braking > LEADER_BRAKING and self.gap < near
         return is_braking or self.time_to_collision < TIME_TO_COLLISION

@@ -154,7 +154,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def is_native(self) -> bool:
-        """Whether the policy receives the simulator's observations."""
+        """True if the policy receives the simulator's observations."""
         return self._stated.native
 
     @property
@@ -168,7 +168,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def moves_ego_only(self) -> bool:
-        """Whether the simulator moves only the ego, so that controls can take effect late or only partly."""
+        """True if the simulator moves only the ego, so that controls can take effect late or only partly."""
         return self._stated.moves_ego_only
 
     @property

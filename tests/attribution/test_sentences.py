@@ -21,7 +21,7 @@ PLACE = re.compile(
     rf"at {NUMBER} s, "
 )
 PHASE = re.compile(
-    rf"(braked|slowed|sped up)(?: from {NUMBER})? to {NUMBER} m/s(?: at up to {NUMBER} m/s\^2)?(?: after {NUMBER} s)?"
+    rf"(braked|slowed|sped up)(?: from {NUMBER})? to {NUMBER} m/s(?: at up to {NUMBER} m/s\^2)?(?: from {NUMBER} s)?"
     rf"(?: \({NUMBER} m behind NPC 0\))?"
 )
 PAUSE = re.compile(rf"(?:did not brake|stood still) from {NUMBER} s")
@@ -71,7 +71,7 @@ def test_an_impact_says_who_came_from_behind_only_if_that_is_known(side, way, to
     ("none", "Neither the ego nor NPC 2 is responsible."),
 ])  # fmt: skip
 def test_who_is_responsible_is_followed_by_what_a_careful_driver_does(responsibility, told):
-    careful = "A careful driver who took over at least 1.25 s before the impact would have avoided it."
+    careful = "A careful driver who took over 1.25 s before the impact would have avoided it."
     assert responsible_sentence(responsibility, 2) == told
     assert responsible_sentence(responsibility, 2, 1.25) == f"{told} {careful}"
     assert responsible_sentence("ego", None) == "The ego is responsible, because a fixed object does not move."
@@ -83,14 +83,14 @@ SLOWER = driven(105.0, speed=10.0)
 
 @table(("brakes", "told"), [
     ([], "The ego kept 20.0 m/s and did not brake after 5.3 s."),
-    ([(6.0, -2.0, 25.0)], "kept 20.0 m/s, sped up to 25.0 m/s after 6.0 s and did not brake after 5.3 s."),
-    ([(6.0, 0.4, 18.0)], "kept 20.0 m/s, slowed to 18.2 m/s after 6.1 s and did not brake after 5.3 s."),
-    ([(8.0, 6.0, 12.0)], "20.0 m/s and braked to 12.0 m/s at up to 6.0 m/s^2 after 8.0 s (20.0 m behind NPC 0)."),
+    ([(6.0, -2.0, 25.0)], "kept 20.0 m/s, sped up to 25.0 m/s from 6.0 s and did not brake after 5.3 s."),
+    ([(6.0, 0.4, 18.0)], "kept 20.0 m/s, slowed to 18.2 m/s from 6.1 s and did not brake after 5.3 s."),
+    ([(8.0, 6.0, 12.0)], "20.0 m/s and braked to 12.0 m/s at up to 6.0 m/s^2 from 8.0 s (20.0 m behind NPC 0)."),
     ([(5.3, 1.0, 0.0)], "The ego braked from 20.0 to 12.7 m/s at up to 1.0 m/s^2 (46.7 m behind NPC 0)."),
     (
         [(7.0, 3.0, 17.0), (8.4, -2.0, 19.0), (9.6, 4.0, 12.0)],
-        "The ego braked to 17.0 m/s at up to 3.0 m/s^2 after 7.0 s (30.0 m behind NPC 0), sped up to 19.0 m/s after "
-        "8.0 s and braked to 13.1 m/s at up to 4.0 m/s^2 after 9.4 s.",
+        "The ego braked to 17.0 m/s at up to 3.0 m/s^2 from 7.0 s (30.0 m behind NPC 0), sped up to 19.0 m/s from "
+        "8.0 s and braked to 13.1 m/s at up to 4.0 m/s^2 from 9.4 s.",
     ),
 ])  # fmt: skip
 def test_deeds_are_told_from_the_danger_on(brakes, told):

@@ -121,7 +121,7 @@ def test_drive_goes_on_for_four_seconds():
 
 
 def test_sentences_on_takeovers():
-    assert sentence(1.25) == "A careful driver who took over at least 1.25 s before the impact would have avoided it."
+    assert sentence(1.25) == "A careful driver who took over 1.25 s before the impact would have avoided it."
     assert sentence(0.0) == "A careful driver who took over in the last 3 s could not reliably have avoided it."
 
 

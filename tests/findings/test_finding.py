@@ -70,7 +70,7 @@ def test_it_expects_what_the_run_showed():
         takeover=0.75,
     )
     *told, responsible = run.sentences
-    careful = "A careful driver who took over at least 0.75 s before the impact would have avoided it."
+    careful = "A careful driver who took over 0.75 s before the impact would have avoided it."
     assert expect.sentences_on(run) == (*told, f"{responsible} {careful}")
     for changed in ({"time": 1.9}, {"takeover": None}):  # of another collision, or unknown
         assert replace(expect, **changed).sentences_on(run) == run.sentences

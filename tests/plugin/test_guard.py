@@ -554,4 +554,4 @@ def test_corpus_on_the_command_line_is_replayed(saved, given):
 def test_walk_ends_after_some_folders_and_says_so(saved, ci, monkeypatch):
     monkeypatch.setattr("pytest_pafot.plugin.guard.MAX_FOLDERS", 1)
     result = replay(saved)
-    result.stdout.fnmatch_lines(["*problem: the list of saved scenarios may be incomplete: the limit of folders is 1"])
+    result.stdout.fnmatch_lines(["*problem: the list of saved scenarios may be incomplete: it covers only 1 folders"])

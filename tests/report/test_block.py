@@ -23,9 +23,7 @@ from tests.helpers.tables import table
 
 FACT = "NPC 0 moved into lane 1 at 2.1 s, 2.8 m ahead of the ego."
 DEED = "The ego kept 20.0 m/s and did not brake after 2.1 s."
-VERDICT = (
-    "The ego is responsible. A careful driver who took over at least 1.25 s before the impact would have avoided it."
-)
+VERDICT = "The ego is responsible. A careful driver who took over 1.25 s before the impact would have avoided it."
 HEADLINE = "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s"
 ROWS = (("", ("line 7: gap < 5  (gap = 6.8) -> False", "line 9: lane == 1 -> True")),)
 MOMENT = Moment(
@@ -61,8 +59,8 @@ def test_a_block_reads_so():
         "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s.",
         FACT,
         DEED,
-        "The ego is responsible. A careful driver who took over at least 1.25 s before",
-        "  the impact would have avoided it.",
+        "The ego is responsible. A careful driver who took over 1.25 s before the impact",
+        "  would have avoided it.",
         "At 4.2 s, the policy saw NPC 0 (6.7 m ahead) and chose acceleration 0.2 m/s^2;",
         "  with NPC 0 4 m nearer: acceleration -6.0 m/s^2.",
         "  line 7: gap < 5  (gap = 6.8) -> False",

@@ -146,7 +146,7 @@ def test_takeover_is_above_the_picture():
     assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
-    careful = "A careful driver who took over at least 1.25 s before the impact would have avoided it."
+    careful = "A careful driver who took over 1.25 s before the impact would have avoided it."
     assert view.sentences == (first, *others[:-1], f"NPC 0 is responsible. {careful}")
     assert view.deed == ""  # NPC 0 is responsible
     (prose,) = words_of(view)

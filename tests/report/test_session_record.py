@@ -17,7 +17,7 @@ from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
 from pytest_pafot.report.terminal import search_lines
-from pytest_pafot.searches.events import Ending, Search
+from pytest_pafot.searches.events import Search
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS
@@ -125,8 +125,7 @@ def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
     assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).worst == ""
     assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
     assert seen.impacts == ", closing at 3.0 to 14.2 m/s"
-    search = Search(node_id="t", reason=Ending.RUNS, finds=(seen,))
-    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(search, width=99)
+    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(Search(node_id="t", finds=(seen,)), width=99)
     assert f"<li>{seen.worst}</li>" in finding_article(
         as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike), 0
     )

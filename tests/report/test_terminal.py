@@ -6,6 +6,8 @@ Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read t
 from collections import Counter
 from dataclasses import replace
 
+import pytest
+
 from pytest_pafot.findings.shrink import Shrunk, described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import Severity
@@ -138,7 +140,7 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
     assert "  5 of these runs had no interaction." in whole
     assert "  NPCs reached 63 % of their goals." in whole
     assert "  Algorithm: pafot, with seed 4154884243 from --pafot-seed=3." in whole
-    assert not {"interaction.", "reached", "Algorithm"} & {word for line in short for word in line.split()}
+    assert not {"interaction.", "reached", "Algorithm:"} & {word for line in short for word in line.split()}
 
 
 def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
@@ -147,6 +149,12 @@ def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
     assert "1 skipped), 7 runs to simplify failures and 12,280 decisions." in " ".join(map(str.strip, lines))
     cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
     assert "  It ended early, after 48 of 100 runs, because it was interrupted." in terminal.search_lines(cut)
+
+
+@pytest.mark.parametrize("reason", [each for each in Ending if not each.is_complete])
+def test_the_summary_says_why_a_search_ended_early_if_that_is_known(reason):
+    (line,) = [each for each in terminal.search_lines(replace(SEARCH, reason=reason)) if "It ended early" in each]
+    assert (", because " in line) == (reason is not Ending.UNKNOWN)
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):

@@ -311,12 +311,12 @@ class Policy:
 
     @cached_property
     def drives_itself(self) -> bool:
-        """Whether the policy is a highway-env vehicle class, which reads the road and returns no decisions."""
+        """True if the policy is a highway-env vehicle class, which reads the road and returns no decisions."""
         return is_vehicle_class(self.factory)
 
     @cached_property
     def simulates(self) -> bool:
-        """Whether the factory has a parameter ``env``, so that its ADSs can simulate in the environment."""
+        """True if the factory has a parameter ``env``, so that its ADSs can simulate in the environment."""
         if self.drives_itself or takes_nothing(self.factory):
             return False
         try:
@@ -326,7 +326,7 @@ class Policy:
 
     @property
     def only_observes(self) -> bool:
-        """Whether the ADSs decide based on observations alone."""
+        """True if the ADSs decide based on observations alone."""
         return not (self.drives_itself or self.simulates)
 
     @cached_property

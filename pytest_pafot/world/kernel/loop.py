@@ -256,7 +256,7 @@ class Loop:
 
     @property
     def is_over(self) -> bool:
-        """Whether a contact has occurred, a vehicle has reached the end of the road, or the ego has left the road."""
+        """True if a contact has occurred, a vehicle has reached the end of the road, or the ego has left the road."""
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:

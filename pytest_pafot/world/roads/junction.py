@@ -137,7 +137,7 @@ class Junction:
         return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
-        """For each point of ``theirs``, return the position [m] along ``mine``. Return None if they share no lane."""
+        """Return the positions [m] along ``mine`` of the points of ``theirs``, or None if they share no lane."""
         if mine == theirs and mine != EGOS:
             return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
         return self.shared.get((mine, theirs))
