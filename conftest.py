@@ -17,15 +17,15 @@ from hypothesis.internal.conjecture import providers
 
 pytest_plugins = ["pytester"]
 
-# Every session tries the same examples. Of 60 seeded faults, 20 examples a test missed one that 60 found; it has a test
-# of its own now. --hypothesis-profile=fresh tries different ones, which --hypothesis-seed=N repeats.
+# Every session tries the same 20 examples per test. Of 60 seeded faults, 60 examples per test found only one more,
+# which now has its own test. --hypothesis-profile=fresh tries different examples, and --hypothesis-seed=N repeats them.
 settings.register_profile(
     "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile("fresh", settings.get_profile("project"), derandomize=False, max_examples=60)
 settings.load_profile("project")
 
-# Under nohup, or in the background of a script, all processes that tests start would ignore these signals.
+# If nohup or a background script started this session, all processes that tests start would ignore these signals.
 if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -34,23 +34,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Run the tests in the same order in every session if pytest-randomly is there; --randomly-seed=N changes it."""
+    """Make pytest-randomly use the same order in every session, unless --randomly-seed=N changes it."""
     if config.getoption("randomly_seed", None) == "default":
         config.option.randomly_seed = 1
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Make every warning an error, except those of other plugins' own configuration, which comes before this hook."""
+    """Make every warning an error, except warnings of other plugins that are configured before this hook."""
     config.addinivalue_line("filterwarnings", "error")
-    if not config.getoption("numprocesses", None):  # a process that only hands out tests to others needs none of it
-        import pytest_pafot.world.stock  # noqa: F401, PLC0415  before any test imports highway-env, with matplotlib
+    if not config.getoption("numprocesses", None):  # the controller of pytest-xdist runs no tests
+        import pytest_pafot.world.stock  # noqa: F401, PLC0415  before a test imports highway-env and thus matplotlib
 
-        # After a session in a session, pytester forgets what that one imported, and pandas cannot be imported twice.
+        # After a nested session, pytester forgets the modules that this session imported. Pandas cannot be imported
+        # twice, so import it now.
         with suppress(ImportError):
             import pandas as pd  # noqa: F401, PLC0415
-    # Hypothesis also tries constants from those of the project's modules that are already imported. A test's examples
-    # would then depend on the tests that ran before it in its process.
+    # Hypothesis also tries constants from the project's modules that are already imported. A test's examples would then
+    # depend on the tests that ran earlier in the same process.
     if settings.default.derandomize:
         providers.is_local_module_file = lambda path: False
 
@@ -63,25 +64,25 @@ NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b|\bhelpers\.stages\b")
 WHOLE = re.compile(rf"^pytestmark = (?:\[\s*)?pytest\.mark\.({'|'.join(STAGES)})\b", re.MULTILINE)
 TEST = re.compile(r"^ *def (test_\w+)\(", re.MULTILINE)
 HUGE_PAGE = 2 << 20
-MADV_COLLAPSE = 25  # of Linux 6.1 and later
+MADV_COLLAPSE = 25  # in Linux 6.1 and later
 
 
 def has_stages(path: Path) -> bool:
-    """Return whether a test file names a stage, or a list or its folder puts tests of it into one."""
+    """Return whether a test file contains tests of a stage, according to its text, its folder or ``long.txt``."""
     file = f"{path.relative_to(TESTS.parent).as_posix()}::"
     is_listed = any(each.startswith(file) for each in LONG)
     return is_listed or path.is_relative_to(OPTIONAL) or bool(NAMED.search(path.read_text(encoding="utf-8")))
 
 
 def left_out(config: pytest.Config) -> set[str]:
-    """Return the stages that a session of all files leaves out, as README's command does."""
+    """Return the stages that a session of all test files skips, as the README's command does."""
     words = config.option.markexpr.split(" and ")
     is_whole = config.args == config.getini("testpaths") and all(word.startswith("not ") for word in words)
     return {word.removeprefix("not ") for word in words} if is_whole else set()
 
 
 def is_left_out(path: Path, stages: set[str]) -> bool:
-    """Return whether all tests of a test file are in one of some stages, by a mark of the file or by the list."""
+    """Return whether all tests of a file belong to the given stages, because of the file's marker or ``long.txt``."""
     text, file = path.read_text(encoding="utf-8"), path.relative_to(TESTS.parent).as_posix()
     listed = {each.rpartition("::")[2] for each in LONG if each.startswith(f"{file}::")}
     mark = WHOLE.search(text)
@@ -89,10 +90,10 @@ def is_left_out(path: Path, stages: set[str]) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out what a whole session would import only to deselect, unless a path names it.
+    """Skip files that a session of all tests would import only to deselect their tests, unless a path names them.
 
-    The main stage leaves out tests/optional, which imports pandas, matplotlib and others, and the files that are
-    wholly of other stages; the other stages leave out the files without tests of theirs, which are a third.
+    The main stage skips tests/optional, which imports pandas, matplotlib and other libraries. It also skips files that
+    contain only tests of other stages. The other stages skip a third of all files, which contain none of their tests.
     """
     is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
     if config.option.markexpr.startswith("not "):
@@ -109,7 +110,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_pycollect_makeitem(
     collector: pytest.Module | pytest.Class, name: str, obj: object
 ) -> list[pytest.Item] | None:
-    """Make no items that a whole session would only deselect, which are a third of all."""
+    """Create no items that a session of all tests would only deselect, which are a third of all items."""
     if not name.startswith("test_") or not (stages := left_out(collector.config)):
         return None
     marks = {mark.name for mark in getattr(obj, "pytestmark", ())}
@@ -121,10 +122,10 @@ def pytest_pycollect_makeitem(
 def pytest_make_collect_report(
     collector: pytest.Collector,
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Let every second worker import the test files from the last to the first.
+    """Make every second worker import the test files in reverse order.
 
-    In a fresh clone pytest rewrites their assertions, which takes longer than all else of collecting. Two workers that
-    begin at the same end rewrite all of them twice; now each finds what the other has written.
+    In a fresh clone, pytest rewrites the assertions in these files, which takes most of the collection's time. Workers
+    with the same order would rewrite all files twice. With opposite orders, each reads files that the other rewrote.
     """
     report = yield
     if isinstance(collector, pytest.Directory) and os.environ.get("PYTEST_XDIST_WORKER", "gw0")[-1] in "13579":
@@ -134,9 +135,9 @@ def pytest_make_collect_report(
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, object, object]:
-    """Mark what takes long, by its list. Begin with long tests: no worker must end with one while the others wait.
+    """Mark the tests in ``long.txt``, and run slow tests first, so that no worker runs one while the others are idle.
 
-    Of these, tests of processes come first: to copy this process takes longer after tests that leave much in memory.
+    Tests that start processes come first, because copying this process takes longer after tests that use much memory.
     """
     for item in items:
         if item.nodeid.partition("[")[0] in LONG:
@@ -144,7 +145,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
     stages = {item: {mark.name for mark in item.iter_markers()}.intersection(STAGES) for item in items}
     for path in {item.path for item in items if stages[item]}:
         if not has_stages(path):
-            raise pytest.UsageError(f"{path}: expected a file with tests of a stage to name it, as `mark.<stage>`")
+            raise pytest.UsageError(
+                f"{path}: expected `mark.<stage>` in a file with tests of a stage, received none. Add it."
+            )
     items.sort(key=lambda item: item.path)  # the same order in all workers
     done = yield
     items.sort(key=lambda item: [stage not in stages[item] for stage in STAGES[:3]])
@@ -153,14 +156,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
-    """Exclude the objects made during collection from garbage collection: they all live until the end.
+    """Exclude objects that were created during test collection from garbage collection, because they are never freed.
 
-    Tests leave little garbage too, so it is collected rarely. Frequent collection would take a sixth of their time.
+    Tests leave little garbage, so it is collected rarely. Frequent collection would take a sixth of their time.
     """
     gc.disable()
     collected = yield
     gc.freeze()
-    atexit.register(gc.unfreeze)  # or libraries report what is left as lost; pytest itself would search it five times
+    atexit.register(gc.unfreeze)  # or libraries report leaks; earlier, pytest would search these objects five times
     gc.set_threshold(100_000, 50, 100)
     gc.enable()
     if any(item.get_closest_marker("processes") for item in session.items):
@@ -169,9 +172,9 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
 
 
 def use_huge_pages() -> None:
-    """Let Linux store what this process has allocated in pages of 2 MiB, so that copying it takes half of the time.
+    """Make Linux store this process in memory pages of 2 MiB, which halves the time that copying the process takes.
 
-    A fork copies the table of pages, which has 512 times as many entries with pages of 4 KiB.
+    A fork copies the page table, which has 512 times as many entries if the pages have 4 KiB.
     """
     maps = Path("/proc/self/maps")
     call = getattr(ctypes.CDLL(None), "madvise", None) if maps.exists() else None
@@ -181,12 +184,12 @@ def use_huge_pages() -> None:
     for first, last in re.findall(r"^(\w+)-(\w+) rw-p 0+ 00:00 0 *(?:\[heap\])?$", maps.read_text(), re.MULTILINE):
         begin, end = -(-int(first, 16) // HUGE_PAGE) * HUGE_PAGE, int(last, 16) // HUGE_PAGE * HUGE_PAGE
         if begin < end:
-            call(begin, end - begin, MADV_COLLAPSE)  # what it cannot do stays as it is
+            call(begin, end - begin, MADV_COLLAPSE)  # if it fails, the pages stay small
 
 
 @pytest.fixture(autouse=True)
 def modules_of_no_other_test(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]:
-    """Forget the modules that a test imports from its files: another test of the process may have files so named."""
+    """Forget the modules that a test imports from its own files, because other tests may use the same names."""
     known, folder = {*sys.modules}, f"{tmp_path_factory.getbasetemp()}{os.sep}"
     yield
     for name in {*sys.modules} - known:

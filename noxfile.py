@@ -1,6 +1,6 @@
 """Checks of the project, each in its own virtual environment. ``nox -l`` lists them.
 
-Commands that the README and ``.ci/run`` share come from the README, the configuration and ``tests/quick.txt``.
+The README, ``pyproject.toml`` and ``tests/quick.txt`` define the commands that ``.ci/run`` also uses.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ nox.options.reuse_venv = "yes"
 
 
 def readme_commands() -> list[list[str]]:
-    """Return the README's commands that install the project with its tests and run these."""
+    """Return the README's commands that install the project and run its tests."""
     found = re.search(r"<!-- the tests -->\n```sh\n(.*)\n```", README)
     if found is None:
-        raise SystemExit("README.md: expected a block of commands after <!-- the tests -->")
+        raise SystemExit("README.md: expected commands after <!-- the tests -->, received none. Restore them.")
     return [shlex.split(command) for command in found[1].split(" && ")]
 
 
 def requirement(name: str) -> str:
-    """Return a package's requirement from the extra ``test``, with its version."""
+    """Return the requirement for a package from the extra ``test``, including the version."""
     return next(each for each in PROJECT["project"]["optional-dependencies"]["test"] if re.match(rf"{name}\b", each))
 
 
 @nox.session(python=PYTHONS)
 def tests(session: nox.Session) -> None:
-    """Run the main stage of the tests, as the README does."""
+    """Run the tests that the README's command runs."""
     install, run = readme_commands()
     session.run(*install)
     session.run(*run, *session.posargs)
@@ -45,7 +45,7 @@ def tests(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def stages(session: nox.Session) -> None:
-    """Run the stages that the README's command leaves out."""
+    """Run the tests that the README's command skips."""
     install, run = readme_commands()
     session.run(*install)
     session.run(*run, "-m", STAGES, *session.posargs)
@@ -53,14 +53,14 @@ def stages(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS)
 def quick(session: nox.Session) -> None:
-    """Run what can differ between Python versions: the plugin, both engines, interruptions, the corpus, strategies."""
+    """Run the quick tests, which cover everything that can differ between Python versions."""
     session.install(".", "pytest-xdist")
     session.run("python", "-m", "pytest", "-n", "2", QUICK, *session.posargs)
 
 
 @nox.session(python=PYTHONS[0])
 def lint(session: nox.Session) -> None:
-    """Check style and format."""
+    """Check the style and the format of the code."""
     session.install(requirement("ruff"))
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
@@ -68,14 +68,14 @@ def lint(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def types(session: nox.Session) -> None:
-    """Check types strictly."""
+    """Check the types with mypy."""
     session.install(".[test]")
     session.run("mypy")
 
 
 @nox.session(python=PYTHONS[0])
 def docs(session: nox.Session) -> None:
-    """Check every sample, table, link and option in the documents, and build the site."""
+    """Check all samples, tables, links and options in the documentation, and build the site."""
     session.install(".[test,docs]")
     session.run(
         "python", "-m", "pytest", "-n", "2", "-m", "stories or not stories", "tests/test_docs.py", *session.posargs

@@ -1,7 +1,7 @@
 """Build the modules that have a ``.pxd`` file as compiled extensions, and prepare the README for a package index.
 
 Without a C compiler, the modules run interpreted. If the environment variable ``PAFOT_PURE`` is 1, nothing is compiled,
-and the wheel is one for all systems.
+and the wheel works on all systems.
 """
 
 import os
@@ -21,54 +21,54 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).resolve().parent
 PACKAGE = Path("pytest_pafot")
 KERNEL = runpy.run_path(str(ROOT / PACKAGE / "support" / "compiled.py"))
-"""What the package knows of its compiled modules, and compares when it imports them."""
+"""The names in the module that checks, on import, whether the compiled modules match the sources."""
 SOURCES = KERNEL["record"]()
-"""The record of the sources as they are before they are read to be compiled."""
+"""The record of the sources, created before the compiler reads them."""
 DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are in the .pxd files
 }
 SHARED = f"pytest_pafot.{KERNEL['SHARED']}"  # Cython's own code for arrays, compiled once instead of in each module
 FLAGS = [
-    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add, for the same numbers as interpreted
+    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add, so interpreted modules return the same numbers
     *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run takes 5 % longer
 ]
 
 
 BUILD = "build"
-"""The folder for generated and compiled files, as setuptools names it."""
+"""The folder in which setuptools saves generated and compiled files."""
 EXAMPLES = "example_ads"
 EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # a top-level package `example_ads` could clash with the user's own
 
 
 class WithoutExampleTests(build_py):
-    """Install the example policies without the tests that search them in a clone."""
+    """A command that copies the example policies without their tests."""
 
     def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
-        """Return the modules of a package."""
+        """Return the modules of a package, without the tests of the example policies."""
         modules: list[tuple[str, str, str]] = super().find_package_modules(package, package_dir)
         return [each for each in modules if package != EXAMPLES_INSTALLED or each[1] not in ("conftest", "test_safety")]
 
 
 def packages() -> list[str]:
-    """Return the packages of ``pytest_pafot``, and the example policies, which are next to it in a clone."""
+    """Return the packages of ``pytest_pafot`` and the example policies, which a clone contains in a separate folder."""
     examples = find_packages(include=[f"{EXAMPLES}*"])
     return [*find_packages(include=["pytest_pafot*"]), *(f"pytest_pafot.{name}" for name in examples)]
 
 
 class AllOrNothing(build_ext):
-    """Build all extensions or none: the modules are compiled against each other, so a part of them is useless."""
+    """A command that builds all extensions or none, because compiled modules depend on each other."""
 
     def finalize_options(self) -> None:
-        """Compile as many modules at once as there are processors, unless the caller gives a number."""
+        """Compile as many modules in parallel as there are processors, unless the caller specifies a number."""
         super().finalize_options()
         self.parallel = self.parallel or True
 
     def run(self) -> None:
-        """Compile all extensions, or remove what was built and warn. While files change, there is no record of them."""
+        """Compile all extensions. If this fails, warn and remove them. The record does not exist while files change."""
         roots = Path(self.build_lib), Path()  # anyone who runs Python in a clone imports the clone's package
         records = [root / self.record() for root in roots]
-        self.force = self.force or not records[0].exists()  # an interrupted build may have left a part of a file
+        self.force = self.force or not records[0].exists()  # an interrupted build may have left incomplete files
         for record in records:
             record.unlink(missing_ok=True)
         try:
@@ -82,33 +82,33 @@ class AllOrNothing(build_ext):
         built = {root / self.get_ext_filename(extension.name) for extension in self.extensions for root in roots}
         suffix = self.get_ext_filename("")
         for path in [path for root in roots for path in (root / PACKAGE).rglob(f"*{suffix}")]:
-            if path not in built:  # or a module that is gone could still be imported
+            if path not in built:  # otherwise a deleted module could still be imported
                 path.unlink()
 
     def record(self) -> str:
-        """Return the name of the file that says what the extensions were made from, next to one of them."""
+        """Return the name of the file that records the sources of the extensions, next to one of them."""
         return f"{self.get_ext_filename(SHARED)}.txt"
 
     def get_output_mapping(self) -> dict[str, str]:
-        """Return which built file is which one in the sources; some editable installations link these."""
+        """Return the source folder's path for each built file, because some editable installations use links."""
         mapping: dict[str, str] = super().get_output_mapping()
         return mapping | ({str(Path(self.build_lib, self.record())): self.record()} if mapping else {})
 
     def build_extension(self, ext: Extension) -> None:
         """Compile a module, with FLAGS if the compiler is gcc or clang."""
-        ext.depends = [*ext.depends, __file__]  # where FLAGS are
+        ext.depends = [*ext.depends, __file__]  # contains FLAGS
         ext.extra_compile_args = [] if self.compiler.compiler_type == "msvc" else FLAGS
         super().build_extension(ext)
 
 
 def has_to_translate_all(made: Path, now: str) -> bool:
-    """Return whether Cython's own comparison of times would miss a change of a source.
+    """Return whether Cython would miss a changed source, because Cython only compares modification times.
 
-    A source may be older than what was made from it, and yet another one: ``cp -p``, ``rsync`` and archives keep times.
+    A changed source can be older than its translation: ``cp -p``, ``rsync`` and archives preserve modification times.
 
     Args:
-        made: what was translated by the last build that was not interrupted, and when.
-        now: what is to be translated.
+        made: A file with the record of the sources that the last complete build translated.
+        now: The record of the current sources.
     """
     if not made.exists():
         return True
@@ -147,9 +147,10 @@ def extensions() -> list[Extension]:
 
 @contextmanager
 def one_build_at_a_time() -> Iterator[None]:
-    """Wait for another build in this folder to end: both write the same files, and remove some of them.
+    """Wait until no other build runs in this folder, because builds write and remove the same files.
 
-    The later build finds what the earlier one compiled. The operating system releases the lock of a killed build.
+    The later build reuses the files that the earlier one compiled. If a build is killed, the operating system releases
+    the lock.
     """
     if os.name != "posix" or "develop" in sys.argv:  # `develop` runs pip, which runs this file
         yield
@@ -159,7 +160,7 @@ def one_build_at_a_time() -> Iterator[None]:
     folder = Path(BUILD)
     folder.mkdir(exist_ok=True)
     with (folder / "lock").open("w") as lock:
-        with suppress(OSError):  # some file systems have no locks
+        with suppress(OSError):  # some file systems do not support locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
@@ -170,12 +171,12 @@ DRAWN = re.compile(r"<picture>.*?</picture>", re.DOTALL)
 
 
 def long_description(readme: str, address: str | None, version: str) -> str:
-    """Return the README for a page outside the repository: its relative links and pictures lead into the repository.
+    """Return the README with absolute links and pictures, for a page outside the repository.
 
     Args:
-        address: The repository's address; paths follow GitHub. Without an address, links become plain words and
-            pictures are left out, so that no link is broken.
-        version: The release. Its tag, such as ``v0.1.0``, has the same files as this package.
+        address: The repository's address. The links have the same form as on GitHub. If None, links become plain text
+            and pictures are omitted, so that no link is broken.
+        version: The version of the release. Links lead to the files with its tag, such as ``v0.1.0``.
     """
     if address is None:
         return LINK.sub(lambda link: "" if link[1] else link[2], DRAWN.sub("", readme))

@@ -1,30 +1,35 @@
 #!/bin/sh
-# What the jobs of a CI do, on a laptop as in an action:
+# Run a task of a CI job, on a server or on your own machine:
 #
-#   sh ci/pafot.sh install        what the tests need, and pytest-pafot
-#   sh ci/pafot.sh replay         what is saved
-#   sh ci/pafot.sh search         what is saved, then a search
-#   sh ci/pafot.sh pull-request   a search of the commit BASE, then one of the change, red only for what is new
-#   sh ci/pafot.sh night          a search from a seed of its day; its finds go onto a branch
+#   sh ci/pafot.sh install        install the requirements and pytest-pafot
+#   sh ci/pafot.sh replay         replay the saved scenarios
+#   sh ci/pafot.sh search         replay the saved scenarios, then search
+#   sh ci/pafot.sh pull-request   search the commit BASE, then the change, which fails only because of new failures
+#   sh ci/pafot.sh night          search with the date as the seed, and push the findings to a branch
 #
-# Each session runs all tests: one that uses pafot_simulate looks like any other one before it runs.
-# Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
-# and pafot.html if a search or a replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and
-# pafot.json does not say so, and where BASE cannot be installed or run. The environment says the rest; what is empty or
-# not set is left out:
+# All other arguments are passed to pytest. Each session runs all tests, because tests that use pafot_simulate cannot be
+# recognised before they run. The session writes pafot.json and pafot.xml, and pafot.html if a search or a replay ran.
 #
-#   REQUIREMENTS  a file for `pip install -r`
-#   RUNS, SEED    of each search
-#   LIMIT         seconds for each search
-#   BASE          the commit before the change; what fails there, too, is accepted
-#   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
-#   GIT_NAME, GIT_EMAIL  the author of the commit of finds
+# The script exits with pytest's exit code, or with 2 if it fails itself, for example because BASE cannot be tested. It
+# also exits with 2 if pytest exits with 0 but pafot.json does not confirm this.
 #
-# A pull request searches BASE in a checkout of its own, in which git-ignored files are missing. With REQUIREMENTS, an
-# environment of its own gets what that file of BASE names; so name there what the repository itself installs, too.
+# These environment variables configure the script. An empty variable counts as unset.
 #
-# Finds are a commit on top of the branch as it is then, and never a forced push. Where both HEAD and the branch have
-# moved, the commit joins them. Of a saved scenario that both have changed, the text on the branch stays.
+#   REQUIREMENTS  the requirements file to install
+#   RUNS, SEED    the number of runs and the seed of each search
+#   LIMIT         the time limit of each search [s]
+#   BASE          the commit before the change; failures that also occur there are accepted
+#   BRANCH        the branch for findings; neither the default branch nor the current branch
+#   REMOTE        the remote with this branch; the default is origin
+#   GIT_NAME, GIT_EMAIL  the author of commits with findings
+#
+# The task pull-request searches BASE in a separate checkout, which contains no git-ignored files. If REQUIREMENTS is
+# set, the packages that this file lists in BASE are installed into a separate environment. If the tests need your own
+# package to be installed, list it in this file, too.
+#
+# The task night commits findings on top of the branch and never force-pushes. If HEAD and the branch have diverged, the
+# commit also merges them. If both have changed a saved scenario, the branch's version is kept. If both have changed
+# another file, HEAD is not merged.
 set -eu
 
 here=$(dirname "$0")
@@ -41,12 +46,13 @@ install() {
   if python -c 'import pytest_pafot' 2>/dev/null; then
     return
   fi
-  [ -f "$here/../setup.py" ] || fail "expected pytest-pafot among the requirements, found none; name it there"
+  [ -f "$here/../setup.py" ] ||
+    fail "expected pytest-pafot to be installed, received no package of this name. List it in your requirements file."
   python -m pip install "$here/.."
 }
 
-# A signal that ends this script goes to pytest first, which ends what it has begun. A shell in the foreground of a command
-# would receive it only after that command.
+# Forward signals to pytest, so that it can stop its processes and write its report. Python runs in the background for
+# this purpose: a shell handles a signal only after its foreground command has ended.
 child='' signal=''
 received() {
   signal=$1
@@ -60,8 +66,8 @@ trap 'received 1 HUP' HUP
 trap 'received 2 INT' INT
 trap 'received 15 TERM' TERM
 
-# Python with some arguments; its exit code is in $ended. It has a group of its own, so that Ctrl-C reaches it once, from
-# here. It allows SIGINT, which a shell ignores in the background.
+# Run Python and store its exit code in $ended. Python has its own process group, so that it receives Ctrl-C only once,
+# from this script. It restores the default action of SIGINT, because a shell makes background processes ignore SIGINT.
 run_python() {
   child=starting
   python -I -c 'import os, signal, sys
@@ -73,30 +79,30 @@ os.execvp("python", ["python", *sys.argv[1:]])' "$@" <&0 &
   while :; do
     ended=0
     wait "$child" || ended=$?
-    kill -0 "$child" 2>/dev/null || break # else a signal has ended only the wait
+    kill -0 "$child" 2>/dev/null || break # if it is still running, a signal interrupted `wait`
   done
   child=''
   [ -z "$signal" ] || exit $((128 + signal))
 }
 
-# A policy that calls os._exit(0) ends pytest with 0 as well. But then no code, or another one, is in pafot.json.
+# If a policy calls os._exit(0), pytest also exits with 0, but pafot.json does not contain this exit code.
 session() {
   case "$* ${PYTEST_ADDOPTS:-}" in
-    *--pafot-json*) fail "expected no --pafot-json: each session leaves pafot.json, which is read here; copy that file" ;;
+    *--pafot-json*) fail "expected no --pafot-json, because this script reads pafot.json. Copy that file instead." ;;
   esac
-  rm -f pafot.json || fail "expected to replace pafot.json, which is no file; move it away"
+  rm -f pafot.json || fail "expected pafot.json to be a file that can be deleted, received an error. Move it elsewhere."
   run_python -m pytest --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
   [ "$ended" = 0 ] || return "$ended"
-  told="no such file"
+  told="no file"
   if [ -f pafot.json ]; then
-    # Isolated, since a json.py may lie here.
+    # -I, because this folder may contain a json.py.
     told=$(python -I -c 'import json; print(json.load(open("pafot.json", "rb"))["exit"])' 2>/dev/null) ||
-      told="no JSON of a session"
+      told="a file without an exit code"
   fi
   [ "$told" != 0 ] || return 0
-  [ "$told" != None ] || told="null, as of a session that has not come to its end"
-  echo "pafot.sh: pytest ended with 0: expected 0 as exit in pafot.json, received $told. Likely your policy or a test" \
-    "ends the process, as os._exit(0) and sys.exit(0) do: let it raise an error instead" >&2
+  [ "$told" != None ] || told="null, which means that the session did not finish"
+  echo "pafot.sh: pytest exited with 0: expected the exit code 0 in pafot.json, received $told." \
+    "Does your policy or a test call os._exit(0) or sys.exit(0)? Raise an exception instead." >&2
   return 2
 }
 
@@ -107,63 +113,69 @@ search() {
   session "$@"
 }
 
-# The seed is that of the day (UTC), so that each night searches other scenarios, and a second one the same.
+# The seed is the date (UTC). Each night tries different scenarios, but a repetition on the same day uses the same ones.
 night() {
   SEED=${SEED:-$(date -u +%Y%m%d)}
   search "$@"
 }
 
-# Two ordinary sessions: the first one is of BASE, in a checkout of its own.
+# Run two ordinary sessions: first one with BASE, in a separate checkout, then one with the change.
 pull_request() {
-  [ -n "${BASE:-}" ] || fail "expected BASE; see the head of this file"
+  [ -n "${BASE:-}" ] ||
+    fail "expected the commit before the change as BASE, received none. Set BASE, for example to main."
   if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null 2>&1; then
-    kind=$(git cat-file -t "$BASE" 2>/dev/null) || fail "expected the commit BASE=$BASE; fetch it first"
-    fail "expected a commit as BASE, received $BASE, a $kind; name the commit"
+    kind=$(git cat-file -t "$BASE" 2>/dev/null) ||
+      fail "expected a commit in this repository as BASE, received $BASE. Correct BASE, or fetch the commit first."
+    fail "expected a commit as BASE, received $BASE, which is a $kind. Name a commit instead."
   fi
   temp=$(cd "$(mktemp -d)" && pwd)
   trap 'git worktree remove --force "$temp/base" 2>/dev/null || true; rm -rf "$temp"' EXIT
   git worktree add -q --detach "$temp/base" "$BASE"
   there=$temp/base/$(git rev-parse --show-prefix)
-  mkdir -p "$there" # a folder that the change has added
+  mkdir -p "$there" # BASE may not contain this folder yet
   run_python "$here/pull_request.py" "$there" "$@"
   return "$ended"
 }
 
-# What the remote has as the branch now: its commit in $tip, which is empty where there is none. An error ends with $1.
+# Fetch the branch and store its commit in $tip, or an empty string if the remote does not have this branch. Error
+# messages end with $1.
 look() {
-  expected="expected the remote ${remote##*@} with the branch $BRANCH, or none of that name, received an error${1:-}"
+  expected="expected to read $BRANCH from the remote ${remote##*@}, received the error above."
+  expected="$expected Check REMOTE and your access to it.${1:-}"
   refs=$(git ls-remote -q --symref -- "$remote" HEAD "refs/heads/$BRANCH") || fail "$expected"
   default=$(printf '%s\n' "$refs" | awk -F '\t' '/^ref: / && $2 == "HEAD" { print substr($1, 6) }')
   for taken in "$default" "$(git symbolic-ref -q HEAD || true)"; do
-    # Where the case of letters does not count, they may be one file.
+    # If the file system ignores case, both names can refer to the same file.
     [ "$(printf %s "$taken" | tr A-Z a-z)" != "$(printf %s "refs/heads/$BRANCH" | tr A-Z a-z)" ] ||
-      fail "expected as BRANCH one for finds alone, received $BRANCH, the default branch or that of HEAD; name another"
+      fail "expected a branch for findings only as BRANCH, received $BRANCH, which is the default or current branch." \
+        "Choose another name."
   done
   tip=
   if printf '%s\n' "$refs" | awk -F '\t' -v name="refs/heads/$BRANCH" '$2 == name { n = 1 } END { exit !n }'; then
     git fetch -q --no-tags --no-recurse-submodules -- "$remote" "+refs/heads/$BRANCH:$FINDS" || fail "$expected"
     tip=$(git rev-parse "$FINDS")
-    # Where it left lies beyond what a shallow clone has.
+    # A shallow clone may lack the commit where the branch started.
     [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --no-tags --unshallow -- "$remote" ||
       fail "$expected"
   fi
 }
 
-# Print the tree in which the second and the third tree have both changed the first. Of a file that both have changed it
-# has the text of the second; one that only either of them has removed and the other changed stays.
+# Merge the second and the third tree, with the first tree as their base, and print the result. If both have changed a
+# file, use the second tree's version. If one has removed a file that the other has changed, keep the changed file.
 join() (
   export GIT_INDEX_FILE="$temp/join"
   cd "./$(git rev-parse --show-cdup)"
   git read-tree --empty
   git read-tree -i -m --aggressive "$1" "$2" "$3"
   git ls-files -u -- ':(exclude,glob)**/*.pafot.yaml' >"$temp/clash"
-  # Lines of mode, blob, stage and name. The last line of a name counts: stage 2, the text of the second.
+  # Each line contains a mode, a blob, a stage and a name. The last line for a name counts, so lines with stage 2, which
+  # is the second tree, come last.
   git ls-files -u | LC_ALL=C sort -r -t ' ' -k 3 | LC_ALL=C sed -n 's/^\([^ ]* [^ ]*\) [23]/\1 0/p' |
     git update-index --replace --index-info
   git write-tree
 )
 
-# HEAD and the branch together: their tree in $both; in $onto and $parents where finds go.
+# Merge HEAD and the branch into the tree $both. Findings will be added to $onto in a commit with $parents.
 meet() {
   if [ -z "$tip" ] || git merge-base --is-ancestor "$tip" "$head"; then
     both=$head onto=$head parents="-p $head"
@@ -174,15 +186,16 @@ meet() {
     both=$(join "$left" "$tip" "$head")
     onto=$both parents="-p $tip -p $head"
     if [ -s "$temp/clash" ]; then
-      # A merge that takes the text of either would undo the work of the other.
+      # A merge with either version of these files would undo the changes in the other one.
       onto=$tip parents="-p $tip"
-      echo "finds go onto $BRANCH alone: it needs a merge by hand with HEAD, where both have changed"
+      echo "findings are added to $BRANCH without merging HEAD. Merge HEAD manually, because both changed these files:"
       cut -f 2- "$temp/clash" | sort -u
     fi
   fi
 }
 
-# Of files here, those whose text is in a commit: nothing is lost with them. Names come and go with a NUL each.
+# Read names of files, and print the names of those whose content is in a commit and can therefore be overwritten. Each
+# name ends with a NUL.
 committed() {
   xargs -0 sh -c 'for file; do
     [ -f "$file" ] && [ ! -L "$file" ] && blob=$(git hash-object -- "$file") || continue
@@ -191,64 +204,68 @@ committed() {
   done' committed
 }
 
-# Bring what the branch knows into the checkout, but not over a text that is in no commit. Print the tree of what is known:
-# a file here that was deleted on the branch is, too, and does not go there again.
+# Check out the branch's files without overwriting uncommitted changes. Print the tree of all known files. It includes
+# files that were deleted on the branch but still exist here, so that they are not added to the branch again.
 bring() (
   export GIT_INDEX_FILE="$temp/bring"
   git read-tree "$both"
   git diff-tree -r --name-only -z --relative --diff-filter=d "$head" "$both" -- "$@" >"$temp/names"
   committed <"$temp/names" | git checkout-index -f -u -z --stdin
   git checkout-index -z --stdin <"$temp/names" >&2 ||
-    echo "pafot.sh: your texts of these stay here, and those of $BRANCH there" >&2
+    echo "pafot.sh: the files above keep your uncommitted changes, and $BRANCH keeps its own versions" >&2
   git ls-files -z -o --exclude-standard -- "$@" | committed | git update-index --add --replace -z --stdin
   git ls-files -z -m -- "$@" | git update-index --remove --replace -z --stdin
   git write-tree
 )
 
-# A commit of the finds on the branch, with an index and a checkout that stay as they are.
+# Commit the findings and push them to the branch, without changing the index or the checkout.
 keep() {
   found=$(
     export GIT_INDEX_FILE="$temp/keep"
     git read-tree "$known" &&
       git ls-files -z -m -o --exclude-standard -- "$@" | git update-index --add --remove --replace -z --stdin &&
       git write-tree
-  ) || fail "expected files that git can add, received an error; finds lie in $PWD"
-  what="finds are"
-  [ "$found" != "$known" ] || what="all finds are"
+  ) || fail "expected to add the findings in $PWD, received the error above. Fix its cause, and run this task again."
+  what="findings were pushed to"
+  [ "$found" != "$known" ] || what="all findings are already on"
   refused=0
   for _ in 1 2 3 4 5 6 7 8 9; do
     tree=$(join "$known" "$onto" "$found")
     if [ "$tree" = "$(git rev-parse "$onto^{tree}")" ]; then
-      [ -n "$tip" ] && echo "all finds are on $BRANCH" || echo "no finds to keep"
+      [ -n "$tip" ] && echo "all findings are already on $BRANCH" || echo "no findings to push"
       return
     fi
-    commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
+    commit=$(echo "Add findings of a search" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
       -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" $parents)
     if git push -q --no-follow-tags --recurse-submodules=no -- "$remote" "$commit:refs/heads/$BRANCH"; then
-      echo "$what on $BRANCH"
+      echo "$what $BRANCH"
       return
     fi
     was=$tip
-    look "; finds lie in $PWD" # what somebody else has pushed meanwhile
+    look " The findings are in $PWD." # someone else may have pushed in the meantime
     meet
     [ "$tip" != "$was" ] || refused=$((refused + 1))
     [ $refused -lt 2 ] ||
-      fail "expected to push finds to $BRANCH, received an error twice; they lie in $PWD. Allow it, and do this again"
+      fail "expected to push the findings in $PWD to $BRANCH, received an error twice." \
+        "Allow the push, and run this task again."
   done
-  fail "expected to push finds to $BRANCH, which moved each of nine times; they lie in $PWD. Do this again"
+  fail "expected to push the findings in $PWD to $BRANCH, received nine errors because the branch kept changing." \
+    "Run this task again."
 }
 
-# Runs a session between the two, and ends with its exit code.
+# Check out the branch's files, run a task, push its findings to the branch, and return the task's exit code.
 with_branch() {
   if [ -z "${BRANCH:-}" ]; then
     "$@"
     return
   fi
   case $BRANCH in
-    -* | HEAD | refs/*) fail "expected the name of a branch as BRANCH, such as pafot-finds, received $BRANCH" ;;
+    -* | HEAD | refs/*) fail "expected a branch name as BRANCH, received $BRANCH. Use a name such as pafot-finds." ;;
   esac
-  git check-ref-format "refs/heads/$BRANCH" || fail "expected a name that git allows as BRANCH, received $BRANCH"
-  head=$(git rev-parse -q --verify HEAD) || fail "expected a repository with a commit in $PWD, found none"
+  git check-ref-format "refs/heads/$BRANCH" ||
+    fail "expected a valid branch name as BRANCH, received $BRANCH. Use a name such as pafot-finds."
+  head=$(git rev-parse -q --verify HEAD) ||
+    fail "expected a git repository with a commit in $PWD, received none. Run this task in a clone."
   remote=${REMOTE:-origin}
   temp=$(cd "$(mktemp -d)" && pwd)
   trap 'rm -rf "$temp"' EXIT
@@ -258,7 +275,7 @@ with_branch() {
   code=0
   "$@" || code=$?
   [ "$(git rev-parse HEAD)" = "$head" ] ||
-    fail "expected HEAD as it was before the session; finds lie in $PWD. Do this again"
+    fail "expected HEAD not to change, received another commit. The findings are in $PWD. Run this task again."
   keep "$FILES"
   return $code
 }

@@ -1,4 +1,4 @@
-"""Search the commit BASE, and then the change, which fails only for what BASE does not. pafot.sh runs this."""
+"""Search the commit BASE and then the change, and accept the failures that both have. ``pafot.sh`` runs this file."""
 
 import json
 import os
@@ -13,7 +13,7 @@ SCRIPT = Path(__file__).resolve().with_name("pafot.sh")
 
 
 def run(task, **given):
-    """Run a task of pafot.sh and return its exit code. A signal goes to the task, which ends what it has begun."""
+    """Run a task of ``pafot.sh`` and return its exit code. Forward signals, so that the task stops its processes."""
     with subprocess.Popen(["sh", SCRIPT, task, *sys.argv[1:]], **given) as process:
         for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: process.send_signal(number))
@@ -21,8 +21,8 @@ def run(task, **given):
 
 
 def failures_of_base(there, environ):
-    """Install and search BASE in a checkout of its own; return what fails there, or a text if it cannot be run."""
-    if environ.get("REQUIREMENTS"):  # What is installed for the change stays, but what BASE names goes before it.
+    """Install and search BASE in its checkout. Return its failures, or a requirement that it does not meet."""
+    if environ.get("REQUIREMENTS"):  # What BASE requires takes precedence over what is already installed.
         own, outer = there / ".pafot-venv", sysconfig.get_path("purelib")
         venv.create(own, with_pip=True, symlinks=True)
         also = Path(sysconfig.get_path("purelib", vars={"base": str(own)}), "outer.pth")
@@ -39,9 +39,12 @@ def failures_of_base(there, environ):
 there, copies, base = Path(sys.argv.pop(1)), [], f"BASE={os.environ['BASE']}"
 known = failures_of_base(there, {name: text for name, text in os.environ.items() if not name.startswith("GITHUB_")})
 if isinstance(known, str):
-    print(f"pafot.sh: expected as {base} a commit {known}, received the error above", file=sys.stderr)
+    print(
+        f"pafot.sh: expected {base} to be a commit {known}, received the error above. Fix it or set another BASE.",
+        file=sys.stderr,
+    )
     sys.exit(2)
-for each in known:  # The search knows their copies here. A test that is gone leaves none.
+for each in known:  # The search does not report copied failures as new. Do not copy failures of removed tests.
     file, (test, _, name) = each["file"], each["test"].partition("::")
     root = next(at for at in (there, *there.parents) if (at / file).is_file())  # pytest's rootdir
     copy, test = (Path(os.path.relpath(root / path, there)) for path in (file, test))
@@ -50,7 +53,7 @@ for each in known:  # The search knows their copies here. A test that is gone le
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes((root / file).read_bytes())
         copies.append(copy)
-print(f"pafot.sh: accepted, since {base} fails as well: {len(known)} saved scenarios", flush=True)
+print(f"pafot.sh: accepted {len(known)} failure{'s' * (len(known) != 1)} already present in {base}", flush=True)
 sys.argv += [f"--deselect={each['node_id']}" for each in known]
 try:
     sys.exit(run("search"))

@@ -1,4 +1,4 @@
-"""The action and the workflows are well-formed, consist of steps that tests run, and agree with each other."""
+"""The action and the workflows are valid, use only tested commands, and agree with each other."""
 
 import re
 
@@ -8,7 +8,7 @@ from tests.helpers.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, acti
 from tests.helpers.tables import table
 
 COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
-"""The commands that ``test_ci_script.py`` runs."""
+"""The commands that ``test_ci_script.py`` tests."""
 
 TASKS = ["install", "replay", "search", "pull-request", "night"]
 OTHERS = {"actions/checkout@v4", "actions/setup-python@v5", "actions/upload-artifact@v4"}
@@ -16,7 +16,7 @@ SCRIPT_TEXT = SCRIPT.read_text(encoding="utf-8")
 
 
 def expressions(value):
-    """Return all expressions anywhere in a document."""
+    """Return all GitHub expressions in a document, including nested ones."""
     if isinstance(value, dict):
         return [each for inner in value.values() for each in expressions(inner)]
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""The jobs of a CI, run in a shell: ``ci/pafot.sh``, by the commands of the action."""
+"""``ci/pafot.sh`` works when the action's commands run it in a shell."""
 
 import os
 import re
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.processes
 
 PLANNER = '''
 class Planner:
-    """Goes at 22 m/s, and brakes while somebody ahead in its lane is nearer than its headway."""
+    """Drives at 22 m/s, and brakes if a vehicle ahead in the same lane is too close."""
 
     headway = 2.0  # [s]
 
@@ -51,7 +51,7 @@ def test_fails(run):
     assert run.outcome == "nothing"
 """
 QUICK = "--pafot-shrink-runs=0"
-"""The options of searches whose findings only have to be there."""
+"""The option for searches whose findings need not be shrunk."""
 
 FAKE = """#!/bin/sh
 [ "$1" != -I ] || exec "$PYTHON" -S "$@"
@@ -66,27 +66,27 @@ echo "{\\"exit\\": ${JSON:-${CODE:-0}}}" >pafot.json
 [ "${JSON:-}" != none ] || rm pafot.json
 exit "${CODE:-0}"
 """
-"""A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile.
+"""A fake Python that records its calls, returns the requested results, and runs the command in ``MEANWHILE``.
 
-What the script itself asks of Python needs no installed packages: without them it starts in a third of the time.
+The script's own Python code needs no installed packages. Without these, Python starts in a third of the time.
 """
 
 
 @pytest.fixture
 def copied():
-    """Return variables with which sessions are copies of this process."""
+    """Return environment variables that make sessions run in copies of this process."""
     with copies() as variables:
         yield variables
 
 
 @pytest.fixture(scope="session")
 def begun_repository(tmp_path_factory):
-    """Return a folder with a clone of one commit, and the repository from which it was cloned."""
+    """Return a folder that contains a repository and a clone of it with one commit."""
     folder = tmp_path_factory.mktemp("repository")
     git(folder, "init", "-q", "--bare", "--template=", "-b", "main", "origin.git")
     git(folder, "init", "-q", "--template=", "-b", "main", "clone")
     git(folder / "clone", "remote", "add", "origin", "../origin.git")
-    for name in ("clone", "origin.git"):  # else git looks after each command whether it should tidy up
+    for name in ("clone", "origin.git"):  # otherwise git checks after each command whether to clean up
         git(folder / name, "config", "maintenance.auto", "false")
         git(folder / name, "config", "receive.autogc", "false")
     commit(folder / "clone", {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
@@ -96,8 +96,8 @@ def begun_repository(tmp_path_factory):
 
 @pytest.fixture
 def repository(begun_repository, tmp_path):
-    """Return a clone with one commit, next to the repository from which it was cloned."""
-    shutil.copytree(begun_repository, tmp_path, dirs_exist_ok=True)  # making one takes twenty processes of git
+    """Return the folder of a clone with one commit, next to the original repository."""
+    shutil.copytree(begun_repository, tmp_path, dirs_exist_ok=True)  # creating a repository takes twenty git processes
     return tmp_path / "clone"
 
 
@@ -117,10 +117,10 @@ def saved(folder):
 
 
 @pytest.mark.parametrize(("changes", "expected"), [
-    ({"base": ""}, "expected BASE; see the head of this file"),
-    ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
-    ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, a tree; name the commit"),
-    ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
+    ({"base": ""}, "expected the commit before the change as BASE, received none. Set BASE"),
+    ({"base": "0123456"}, "expected a commit in this repository as BASE, received 0123456. Correct BASE, or fetch"),
+    ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, which is a tree. Name a commit"),
+    ({"base": "--output=planner.py"}, "expected a commit in this repository as BASE, received --output=planner.py."),
 ])  # fmt: skip
 def test_incomparable_pull_request_is_refused_with_advice(repository, changes, expected):
     commit(repository, {"planner.py": PLANNER}, "A planner")
@@ -146,7 +146,7 @@ def test_a_night_keeps_its_finds_and_the_next_one_knows_them(repository, copied,
 
 @pytest.fixture
 def fake(tmp_path):
-    """Return the folder of a Python that searches nothing, the variables that put it first, and its record."""
+    """Return environment variables with which the script uses the fake Python."""
     folder = tmp_path / "bin"
     folder.mkdir()
     python = folder / "python"
@@ -183,18 +183,18 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
 
 
 @pytest.mark.parametrize(("written", "received"), [
-    ("none", "received no such file"),
-    ("null", "received null, as of a session that has not come to its end"),
+    ("none", "received no file"),
+    ("null", "received null, which means that the session did not finish"),
     ("1", "received 1"),
-    ("[", "received no JSON of a session"),
+    ("[", "received a file without an exit code"),
 ])  # fmt: skip
 def test_session_passes_only_by_exit_code_in_json(repository, fake, written, received):
     (repository / "pafot.json").write_text('{"exit": 0}')  # a file from an earlier session
     code, printed = shell(
         f"sh {SCRIPT} night", repository, BRANCH="finds", FINDS_NOW="a", CODE="0", JSON=written, **fake
     )
-    assert (code, f"expected 0 as exit in pafot.json, {received}. Likely" in printed) == (2, True), printed
-    assert "finds are on finds" in printed
+    assert (code, f"expected the exit code 0 in pafot.json, {received}. Does" in printed) == (2, True), printed
+    assert "findings were pushed to finds" in printed
 
 
 @pytest.mark.parametrize("leave", ["of_c._exit(0)", "of_c.exit(0)", "atexit.register(of_c._exit, 0)"])
@@ -206,7 +206,7 @@ def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
     )
     (repository / "test_it.py").write_text("import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n")
     code, printed = shell(f"sh {SCRIPT} replay", repository)
-    assert (code, "pytest ended with 0: expected 0 as exit in pafot.json" in printed) == (2, True), printed
+    assert (code, "pytest exited with 0: expected the exit code 0 in pafot.json" in printed) == (2, True), printed
 
 
 @pytest.mark.parametrize(("shells", "name"), [("bash", "SIGINT"), ("sh", "SIGTERM"), ("bash", "SIGHUP")])
@@ -223,11 +223,11 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
         while not begins.exists() and script.poll() is None and time.monotonic() < deadline:
             time.sleep(0.05)
         script.send_signal(getattr(signal, name))
-        rest, _ = script.communicate(timeout=60)  # It also waits for pytest, which has the same output.
+        rest, _ = script.communicate(timeout=60)  # This also waits for pytest, which uses the same output.
     assert script.returncode == 128 + getattr(signal, name), rest
-    assert re.search(r" It ended early, after \d+ of \d+ runs, because it was interrupted\.", " ".join(rest.split())), (
-        rest
-    )
+    assert re.search(
+        r" The search ended early, after \d+ of \d+ runs, because it was interrupted\.", " ".join(rest.split())
+    ), rest
     assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
 
 
@@ -257,14 +257,14 @@ def test_install_adds_requirements_and_package_if_missing(repository, fake):
 def test_action_copied_without_package_says_what_to_do(repository, fake, tmp_path):
     shutil.copytree(SCRIPT.parent, tmp_path / "copy" / "ci")
     code, printed = shell(f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake)
-    assert (code, "expected pytest-pafot among the requirements, found none; name it there" in printed) == (2, True)
+    assert (code, "List it in your requirements file." in printed) == (2, True), printed
 
 
 FOLDER = "pafot_corpus/test_it/test_x"
 
 
 class TestTheBranch:
-    """The branch where nightly jobs store their findings."""
+    """The branch to which nightly jobs push their findings."""
 
     def night(self, folder, fake, *, finds="", code="1", options=""):
         inputs = inputs_of("night", "night") | {"requirements": "", "options": options}
@@ -283,12 +283,12 @@ class TestTheBranch:
         assert call == f"{SESSION} --pafot-runs=1000000 --pafot-seed=DAY --pafot-max-time=5400"
 
     def test_a_night_without_finds_makes_no_branch(self, repository, fake):
-        assert "no finds to keep" in self.night(repository, fake)
+        assert "no findings to push" in self.night(repository, fake)
         assert git(repository, "ls-remote", "origin", "pafot-finds") == ""
 
     def test_findings_are_one_commit_without_touching_the_checkout(self, repository, fake):
         before = git(repository, "rev-parse", "HEAD")
-        assert "finds are on pafot-finds" in self.night(repository, fake, finds="a")
+        assert "findings were pushed to pafot-finds" in self.night(repository, fake, finds="a")
         assert self.kept(repository) == ["a"]
         assert git(repository, "rev-parse", "refs/kept^", "HEAD").splitlines() == [before, before]
         assert git(repository, "status", "--porcelain").splitlines() == ["?? pafot_corpus/"]
@@ -300,7 +300,7 @@ class TestTheBranch:
         assert [name[-12] for name in saved(tmp_path / "next")] == ["a", "b"]
         assert self.kept(repository) == ["a", "b"]
         git(tmp_path, "clone", "-q", "origin.git", "third")
-        assert "all finds are on pafot-finds" in self.night(tmp_path / "third", fake)
+        assert "all findings are already on pafot-finds" in self.night(tmp_path / "third", fake)
 
     def test_findings_merged_and_removed_do_not_return(self, repository, fake, tmp_path):
         self.night(repository, fake, finds="a")
@@ -332,7 +332,9 @@ class TestTheBranch:
         self.night(repository, fake, finds="a")
         git(tmp_path, "clone", "-q", "origin.git", "next")
         other = f"cd {repository}; unset MEANWHILE; export CODE=0; {meanwhile}"
-        assert "finds are on pafot-finds" in self.night(tmp_path / "next", fake | {"MEANWHILE": other}, finds="b")
+        assert "findings were pushed to pafot-finds" in self.night(
+            tmp_path / "next", fake | {"MEANWHILE": other}, finds="b"
+        )
         assert self.kept(repository) == kept
 
     def test_rejected_push_ends_job_and_locates_findings(self, repository, fake):
@@ -342,7 +344,7 @@ class TestTheBranch:
         hook.chmod(0o755)
         inputs = inputs_of("night", "night") | {"requirements": ""}
         code, printed = run_action(inputs, repository, **fake, FINDS_NOW="a", CODE="1")
-        told = f"expected to push finds to pafot-finds, received an error twice; they lie in {repository}"
+        told = f"expected to push the findings in {repository} to pafot-finds, received an error twice. Allow"
         assert (code, told in printed) == (2, True), printed
 
     def on_branch(self, folder, name):
@@ -350,7 +352,7 @@ class TestTheBranch:
         return git(folder, "show", f"refs/kept:{name}")
 
     def colleague(self, repository, branch, files, remove=()):
-        """Push files to a branch from a second clone."""
+        """Push changes of files to a branch from a second clone."""
         other = repository.parent / "other"
         if not other.exists():
             git(repository.parent, "clone", "-q", "origin.git", "other")
@@ -388,7 +390,7 @@ class TestTheBranch:
     def test_finding_deleted_on_the_branch_does_not_return(self, repository, fake):
         self.night(repository, fake, finds="a")
         self.colleague(repository, "pafot-finds", {"NOTES.md": ""}, remove=[f"{FOLDER}/a.pafot.yaml"])
-        assert "all finds are on pafot-finds" in self.night(repository, fake)
+        assert "all findings are already on pafot-finds" in self.night(repository, fake)
         self.night(repository, fake, finds="b")
         assert self.kept(repository) == ["N", "b"]
 
@@ -398,7 +400,7 @@ class TestTheBranch:
         self.colleague(repository, "main", {"planner.py": "on main"})
         git(repository, "pull", "-q", "origin", "main")
         printed = self.night(repository, fake, finds="b")
-        assert "it needs a merge by hand with HEAD, where both have changed\nplanner.py\n" in printed
+        assert "Merge HEAD manually, because both changed these files:\nplanner.py\n" in printed
         assert self.on_branch(repository, "planner.py") == "by a colleague"
         assert git(repository, "log", "-1", "--format=%p", "refs/kept").count(" ") == 0
         assert self.on_branch(repository, f"{FOLDER}/b.pafot.yaml") == "b"
@@ -407,7 +409,9 @@ class TestTheBranch:
         self.night(repository, fake, finds="a")
         (repository / FOLDER / "a.pafot.yaml").write_text("mine")
         self.colleague(repository, "pafot-finds", {f"{FOLDER}/a.pafot.yaml": "theirs"})
-        assert "your texts of these stay here, and those of pafot-finds there" in self.night(repository, fake)
+        assert "the files above keep your uncommitted changes, and pafot-finds keeps its own versions" in self.night(
+            repository, fake
+        )
         assert (repository / FOLDER / "a.pafot.yaml").read_text() == "mine"
         assert self.on_branch(repository, f"{FOLDER}/a.pafot.yaml") == "theirs"
 
@@ -434,7 +438,7 @@ class TestTheBranch:
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
         inputs = inputs_of("night", "night") | {"requirements": ""}
         code, printed = run_action(inputs, repository, **fake)
-        assert (code, "expected the remote origin with the branch pafot-finds" in printed) == (2, True), printed
+        assert (code, "expected to read pafot-finds from the remote origin" in printed) == (2, True), printed
         assert not [call for call in calls(fake) if "-m pytest" in call]
 
 
