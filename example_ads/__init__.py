@@ -1,5 +1,5 @@
-"""Driving policies to search: careful ones, intentionally flawed ones, and published ones behind adapters.
+"""Example policies to test: careful ones, intentionally flawed ones, and published ones with adapters.
 
-Each module has a factory ``make()`` that returns a fresh ADS (or, for highway-env's own drivers, the vehicle class).
-An installed pytest-pafot provides them as ``pytest_pafot.example_ads``.
+Each module has a factory ``make()`` that returns a new ADS, or a vehicle class if the policy is a driver of
+highway-env. The installed package contains these modules as ``pytest_pafot.example_ads``.
 """

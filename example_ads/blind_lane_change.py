@@ -1,8 +1,8 @@
-"""An intentionally flawed driver, which changes lanes every eight seconds without looking.
+"""An intentionally flawed driver that changes lanes every eight seconds without looking.
 
-Kind (a), for ``pafot.Highway``. Within its lane it is careful: it follows the vehicle ahead by the Intelligent Driver
-Model (Treiber, Hennecke, Helbing 2000). But its lane changes depend only on time: to the right up to the last lane,
-then to the left, and so on. It never checks whether the lane that it enters is free.
+It is a planner for ``pafot.Highway``. Within its lane it is careful: it follows the vehicle ahead according to the
+Intelligent Driver Model (Treiber, Hennecke, Helbing 2000). However, its lane changes depend only on time. It changes to
+the right until it reaches the last lane, then to the left, and so on, and never checks whether the new lane is free.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_STEERING = 0.4
 
 
 class BlindLaneChange:
-    """A driver at the speed limit that changes to the next lane every eight seconds."""
+    """A driver that aims for the speed limit and changes to the next lane every eight seconds."""
 
     def __init__(self) -> None:
         self._lane: int | None = None
@@ -35,7 +35,7 @@ class BlindLaneChange:
         self._changes = 0
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return acceleration [m/s^2] and steering angle [rad]."""
+        """Return the acceleration [m/s^2] and the steering angle [rad]."""
         if self._lane is None:
             self._lane = observation.ego.lane
         if observation.time >= (self._changes + 1) * SECONDS_PER_LANE:
@@ -50,7 +50,7 @@ class BlindLaneChange:
 
 
 def acceleration(observation: Observation) -> float:
-    """Return the acceleration of the Intelligent Driver Model behind the next vehicle in the ego's lane [m/s^2]."""
+    """Return the Intelligent Driver Model's acceleration [m/s^2] for the next vehicle ahead in the ego's lane."""
     ego = observation.ego
     free = 1 - (max(ego.speed, 0.0) / observation.speed_limit) ** 4
     ahead = [other for other in observation.others if other.lane == ego.lane and other.x > ego.x]
@@ -64,7 +64,10 @@ def acceleration(observation: Observation) -> float:
 
 
 def steering(observation: Observation, target_y: float) -> float:
-    """Steer towards a line along the road [rad]: lateral error to heading, heading error to turning rate."""
+    """Return the steering angle [rad] towards a line along the road.
+
+    The lateral error determines a heading, and the heading error determines the turning rate.
+    """
     ego = observation.ego
     speed = max(ego.speed, 1.0)
     wanted_heading = math.asin(max(-0.5, min(0.5, LATERAL_GAIN * (target_y - ego.y) / speed)))
@@ -74,5 +77,5 @@ def steering(observation: Observation, target_y: float) -> float:
 
 
 def make() -> BlindLaneChange:
-    """Return a fresh driver, at the start of its first eight seconds."""
+    """Return a new driver, at the start of its first eight seconds."""
     return BlindLaneChange()

@@ -1,7 +1,7 @@
-"""An intentionally flawed driver, which keeps its initial speed and its lane whatever happens, and looks at nothing.
+"""An intentionally flawed driver that keeps its initial speed and its lane, regardless of other vehicles.
 
-Kind (a), for ``pafot.Highway``. It runs into any slower vehicle ahead, so five generations find it at fault with nearly
-every seed. It is the shortest possible ADS.
+It is a planner for ``pafot.Highway``, and the shortest possible ADS. It runs into any slower vehicle ahead, so with
+nearly every seed, five generations find a collision for which it is at fault.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""The published planner FISS+ (``fiss-planner`` on PyPI) with its own model-predictive controller, behind an adapter.
+"""An adapter for the published planner FISS+ (``fiss-planner`` on PyPI) and its model-predictive controller.
 
-Kind (a), for ``pafot.Highway``; needs ``pip install "pytest-pafot[fiss]"``, which has wheels for Linux and macOS.
-FISS+ samples trajectories in the lane's own coordinates, searches them best first and checks each against the
-predicted motion of the others (Sun et al., IROS 2023, doi 10.1109/IROS55552.2023.10341498). Nothing in it was changed.
+It is for ``pafot.Highway``, and requires ``pip install "pytest-pafot[fiss]"``, which has wheels for Linux and macOS.
+FISS+ samples trajectories in lane coordinates, searches them best first, and checks each against the predicted motion
+of other vehicles (Sun et al., IROS 2023, doi 10.1109/IROS55552.2023.10341498). The planner was not changed.
 
-The adapter translates:
+The adapter makes these translations:
 
-- axes: the planner's y grows to the left, so y, heading and steering change sign;
-- the car: highway-env's bicycle turns about its centre with a wheelbase of the vehicle's length;
-- the map: planning time grows with the map's length, so the planner sees a window of the road that moves along;
-- vehicles behind in the same lane are assumed to keep their distance, as in the planner's own CARLA adapter; otherwise
-  a car that tailgates would leave it no valid trajectory.
+- Axes: the planner's y is positive to the left, so the signs of y, heading and steering change.
+- Vehicle: highway-env's bicycle model turns about its centre, and its wheelbase is the length of the vehicle.
+- Map: planning time increases with the map's length, so the planner sees only a section of the road around the ego.
+- Traffic: vehicles behind in the same lane are assumed to keep their distance, as in the planner's adapter for CARLA.
+  Otherwise, there would be no valid trajectory ahead of a vehicle that tailgates.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MAX_STEERING_RATE = 2.0
 
 
 class FissPlanner:
-    """FISS+ and its controller, at the rate at which they are called."""
+    """FISS+ and its controller, both called once per decision."""
 
     def __init__(self) -> None:
         import fiss_planner  # noqa: PLC0415 - the extra `fiss`
@@ -52,7 +52,7 @@ class FissPlanner:
         self._action = (0.0, 0.0)
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return acceleration [m/s^2] and steering angle [rad]."""
+        """Return the acceleration [m/s^2] and the steering angle [rad]."""
         if self._planner is None:
             self._start(observation)
         if observation.ego.x + MAP_RENEWED_AHEAD > self._map_end:
@@ -88,7 +88,7 @@ class FissPlanner:
         self._planner.set_map(self._map)
 
     def _lane(self, number: int, observation: Observation, xs: npt.NDArray[np.float64]) -> Any:
-        """Return one lane of the map. Ids count from 1 at the left, because 0 and below mean none."""
+        """Return one lane of the map. Ids start at 1 at the left, because 0 and negative ids mean no lane."""
         centre, half = -number * observation.lane_width, observation.lane_width / 2
         lane = self._fiss.MapLane()
         lane.id = number + 1
@@ -105,7 +105,7 @@ class FissPlanner:
     def _ego_state(self, observation: Observation) -> Any:
         ego = observation.ego
         acceleration, steering = self._action
-        # The curvature at the centre of a bicycle with the slip angle atan(tan(steering) / 2).
+        # The curvature at the centre of the bicycle model, for the slip angle atan(tan(steering) / 2).
         curvature = -math.sin(math.atan(math.tan(steering) / 2)) / (ego.length / 2)
         return self._fiss.EgoState(ego.x, -ego.y, -ego.heading, ego.speed, acceleration, curvature)
 
@@ -129,5 +129,5 @@ class FissPlanner:
 
 
 def make() -> FissPlanner:
-    """Return a fresh planner with an empty memory."""
+    """Return a new planner without any state."""
     return FissPlanner()

@@ -1,8 +1,8 @@
-"""The careful driver of highway-env, which follows by IDM and changes lanes by MOBIL.
+"""The careful driver of highway-env, which follows according to IDM and changes lanes according to MOBIL.
 
-Kind (c): the ADS is a vehicle class that drives itself, and the class is its own factory. It keeps its distance and
-looks before it changes lanes, so most of its collisions are the fault of others. IDM does assume that no vehicle
-cuts in close ahead and brakes hard.
+The ADS is a vehicle class that drives itself, and the class is its own factory. It keeps its distance and looks before
+it changes lanes, so other vehicles are responsible for most of its collisions. However, IDM assumes that no vehicle
+cuts in closely and brakes hard.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def make() -> type[Any]:
-    """Return the class ``highway_env.vehicle.behavior.IDMVehicle``; pass it to the world unchanged."""
+    """Return the class ``highway_env.vehicle.behavior.IDMVehicle``. Pass it to the world unchanged."""
     from highway_env.vehicle.behavior import IDMVehicle  # noqa: PLC0415 - highway-env takes a second to import
 
     vehicle: type[Any] = IDMVehicle

@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 
 if __name__ == "__main__" and hasattr(signal, "pthread_sigmask"):
-    # Ctrl-C waits for main_in_child. Python would print a traceback while it imports the modules below.
+    # Block Ctrl-C until main_in_child runs. Python would print a traceback while it imports the modules below.
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
 
 import argparse
@@ -185,7 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _note(interrupt: KeyboardInterrupt) -> None:
-    # Inform the guard of decisions about an interrupt if it is already imported, because importing it takes long.
+    # Tell the guard of decisions about an interrupt, but only if it is already imported. Importing it takes long.
     note = getattr(sys.modules.get("pytest_pafot.world.guard.hang_guard"), "note_interrupt", None)
     if note is not None:
         note(interrupt)
@@ -258,8 +258,8 @@ def _without_surroundings(command: str, error: OSError) -> int:
         return 128 + 13
     expected, fix = "a writable standard output", way_out(error, "or redirect it")
     if isinstance(error, FileNotFoundError):
-        expected, fix = "an existing current folder", "change to a folder that exists"
-    sys.stderr.write(f"{command}: expected {expected}, received {error.strerror}; {fix}\n")
+        expected, fix = "an existing current folder", "Change to a folder that exists"
+    sys.stderr.write(f"{command}: expected {expected}, received {error.strerror}. {fix}\n")
     return 2
 
 

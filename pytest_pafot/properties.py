@@ -7,7 +7,8 @@ For example::
         pafot.properties.comfort(run)
 
 Each property except :func:`no_fault` is a check with a name and a margin. A property that does not apply to a run
-records no check. *Second hand* marks sources read only in quotations. Numbers without a source are our choices.
+records no check. *Second hand* marks sources that we know only from quotations. Numbers without a source are our
+choices.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     The value is the gap to the worst NPC minus the safe distance [m]. It must be at least 0. NPCs behind the ego do
     not count. Crossing NPCs count while they are on the ego's path.
 
-    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default, a gap of two seconds is enough
-    behind a leader at the same speed, up to 48 m/s (our choice). ``pytest_pafot.criticality.RssRules()`` has Intel's
-    parameters.
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (cited from a secondary source). By default, a gap of two
+    seconds is enough behind a leader at the same speed, up to 48 m/s (our choice).
+    ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}")
@@ -106,7 +107,7 @@ def stays_on_road(run: Run) -> None:
 
 def _refuse_odd(name: str, **given: object) -> None:
     for each, value in given.items():  # finite numbers of at least 0
-        checked_number(value, name, f"{each}= to be a finite number of at least 0", least=0.0)
+        checked_number(value, name, f"{each} to be a finite number, at least 0", least=0.0)
 
 
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:

@@ -82,7 +82,7 @@ def entries():
     """Return the rows of the tables of rules, and the paragraphs about how to add something."""
     places = section("Where to find each part", EXPLANATION).partition("\n# ")[0]
     rows = re.findall(r"^\| (?!---|Section).*\|$", places, re.MULTILINE)
-    added = section("How to add a ...", CONTRIBUTING)
+    added = section("How to extend the package", CONTRIBUTING)
     return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", added, re.MULTILINE | re.DOTALL)]
 
 

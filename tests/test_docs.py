@@ -12,9 +12,9 @@ output a line ``...`` stands for anything; everything else is compared, except f
 ends with its summary line (``1 failed, 2 passed in 0.4s``), which also gives the exit status; ``$ python`` exits with
 0.
 
-Seconds of wall clock vary, as in that line and in ``It took 1.0 s``. For other numbers that vary, a comment before
-the block names the texts that contain them: ``<!-- varies: 3 of 4 workers | pid 17 -->``. The blocks in a folder with
-``<!-- needs: library -->`` only run if that library is installed.
+Seconds of wall clock vary, as in that line and in ``decisions took 1.0 s``. For other numbers that vary, a comment
+before the block names the texts that contain them: ``<!-- varies: 3 of 4 workers | pid 17 -->``. The blocks in a folder
+with ``<!-- needs: library -->`` only run if that library is installed.
 
 If the output has changed on purpose, this command updates the samples whose words are the same; read the diff:
 
@@ -74,7 +74,7 @@ GENERATED = re.compile(r"<!-- generated: ([a-z-]+) -->\n(.*?)<!-- end of generat
 FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
-WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\bIt took [\d.]+ s|failed, in [\d.]+ s", re.MULTILINE)
+WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\bdecisions took [\d.]+ s|failed, in [\d.]+ s", re.MULTILINE)
 SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")
 REFRESH = "PAFOT_REFRESH"
 CORPUS_NAME = re.compile(r"([a-z0-9-]+)-[0-9a-f]{6}(?=\.pafot\.yaml|\])")
@@ -145,7 +145,7 @@ def compared(text, varies):
 
 
 def check_output(block, printed):
-    """Check a block against the printed output; return it as it should be."""
+    """Check a block against the printed output. Return it as it should be."""
     printed = re.sub(r"(\bin [\d.]+s) \(\d+:\d\d:\d\d\)", r"\1", printed)  # pytest adds it after the first minute
     position, right = 0, block.rest
     for part in re.split(r"^\.\.\.$", block.rest, flags=re.MULTILINE):
@@ -202,7 +202,7 @@ class Folder:
         path.write_text(content, encoding="utf-8")
 
     def saved(self, name):
-        """Return the file of this name; the digits of its scenario may differ here."""
+        """Return the file of this name. The digits of its scenario may differ here."""
         path = self.path / self.with_own_ids(name)
         assert path.is_file(), f"{name}: expected among {self.ids}"
         return path
@@ -312,14 +312,14 @@ SAMPLE = """
 $ pytest -q
 ...
 E  after 6.3 s in cell 2, took 0.030 s
-  It took 1.0 s for 20 runs
+  20 runs and 9 decisions took 1.0 s
 ...
 saved as front-d175c6
 1 failed in 0.43s
 ```
 """
 PRINTED = (
-    "F\nE   after 6.3 s in cell 2, took 0.125 s\n\nIt took 12.5 s for 20 runs, 9 more\nsaved as front-d175c6\n"
+    "F\nE   after 6.3 s in cell 2, took 0.125 s\n\n20 runs and 9 decisions took 12.5 s more\nsaved as front-d175c6\n"
     "1 failed in 7.1s\n"
 )
 

@@ -278,7 +278,7 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
 @table("argument", ["jerk", "braking", "lateral_acceleration", "lateral_jerk"])
 def test_comfort_refuses_negative_or_non_finite_arguments(argument):
     for odd in (-1.0, np.nan, np.inf, "2", True):
-        told = f"expected {argument}= to be a finite number of at least 0, received {odd!r}"
+        told = f"expected {argument} to be a finite number, at least 0, received {odd!r}"
         with pytest.raises(ValueError, match=told):
             properties.comfort(pafot.Run(following(100.0)), **{argument: odd})
 

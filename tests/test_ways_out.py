@@ -185,7 +185,7 @@ def here(tmp_path, monkeypatch):
 
 
 def ran(text):
-    """Run a command as a shell reads it; return its exit code and its output."""
+    """Run a command as a shell reads it. Return its exit code and its output."""
     words = shlex.split(text)
     if words[:2] == ["python", "-c"]:
         done = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, check=False, timeout=120)
@@ -250,7 +250,7 @@ def test_unknown_finding_is_among_those_that_the_command_lists(here):
     file = min(here.rglob("*.pafot.yaml"))
     code, told = ran("python -m pytest_pafot export 000000 --to csv --ads planner:Planner")
     assert code == 2
-    code, told = ran(named_in(told, "; "))
+    code, told = ran(named_in(told, ". "))
     assert (code, file.name.partition(".")[0] in told) == (0, True), told
 
 
@@ -263,5 +263,5 @@ def test_deadly_scenario_is_replayed_by_the_command_that_is_named(here):
     file = min(here.rglob("*.pafot.yaml"))
     code, told = ran(shlex.join(["python", "-c", f"import pytest_pafot as p\np.load({str(file)!r}).replay(None)"]))
     assert code == 1
-    code, told = ran(named_in(told, "run "))
+    code, told = ran(named_in(told, "Run "))
     assert (code, "1 still failing" in told) == (1, True), told

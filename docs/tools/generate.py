@@ -1,6 +1,6 @@
 """Write the tables of guide/ and reference/ from the docstrings and options in the code.
 
-Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
+Run this program after you change the code or the tables: ``python docs/tools/generate.py``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 OF_SEARCH = ("traffic", "blame", "runs", "seed", "against")
-"""The options of ``search`` that are arguments of the mark."""
+"""The options of the command ``search`` that are also arguments of the mark."""
 _WORLD = re.compile(
     r"drive in this world: the id of a highway-env environment .* a pafot.SimulatorWorld \((.*)", re.DOTALL
 )
@@ -76,12 +76,12 @@ MARKER_TEXTS: Mapping[str, str] = {
     "finding.",
     "traffic": '[Driving style of the NPCs](scenarios.md#traffic-styles): `"hostile"`, `"assertive"`, `"everyday"` or '
     '`"paper"`.',
-    "vehicles": "[Vehicle types of the NPCs](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. If cars are "
-    "among them, one NPC in six has a different type.",
+    "vehicles": "[Vehicle types of the NPCs](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. If they "
+    "include cars, one NPC in six is not a car.",
     "npcs": "Number of NPCs, from 1 to 8.",
     "instructions": '[Instructions](scenarios.md) of NPCs that do not cross the ego\'s path: `"cells"`, `"lanes"` or '
     '`"both"`.',
-    "genes": "Number of instructions of each NPC that does not cross the ego's path.",
+    "genes": "Number of instructions for each NPC that does not cross the ego's path.",
     "gene_seconds": "Duration of one instruction [s].",
     "ego_lane": "Lane in which the ego starts, counted from 0 at the left.",
     "ego_speed": "Initial speed [m/s] of the ego and of all NPCs that do not cross its path.",
@@ -89,12 +89,11 @@ MARKER_TEXTS: Mapping[str, str] = {
     "generations": "[Number of generations](options.md#pafot-generations), at least 1. Only some algorithms have "
     "generations.",
     "seed": "[Base seed](options.md#pafot-seed) from which the seed of the search is derived.",
-    "algorithm": "[Search algorithm](options.md#pafot-algorithm): a name, or [a class of your "
-    "own](../guide/algorithms.md).",
+    "algorithm": "[Search algorithm](options.md#pafot-algorithm): a name, or [your own class](../guide/algorithms.md).",
     "fitness": "[Fitness](checks.md#fitness) that the algorithm maximises. The default algorithm does not use it.",
     "shrink_runs": "[Maximum number of runs](options.md#pafot-shrink-runs) for simplifying one finding.",
 }
-"""The meanings of the arguments of the mark."""
+"""Meanings of the mark's arguments."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
@@ -104,12 +103,12 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`; `"paper"` with algorithms from the paper',
     "instructions": '`"both"`; `"cells"` with algorithms from the paper',
-    "vehicles": "all types that fit the road; only cars with an `algorithm` other than `random`",
+    "vehicles": "all types that fit the road; only cars if the `algorithm` is not `random`",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "algorithm": '`"random"`',
 }
-"""Defaults that no dataclass contains."""
+"""Defaults of the mark's arguments that are not in a dataclass."""
 
 MARKER_GROUPS: Mapping[str, Sequence[str]] = {
     "marker-tested": ("ads", "world", "blame", "against", "isolate"),
@@ -118,7 +117,7 @@ MARKER_GROUPS: Mapping[str, Sequence[str]] = {
     ),
     "marker-search": ("runs", "generations", "seed", "algorithm", "fitness", "shrink_runs"),
 }
-"""The arguments of the mark by table."""
+"""The mark's arguments, by table."""
 
 OPTION_GROUPS: Mapping[str, Sequence[str]] = {
     "options-search": (
@@ -128,7 +127,7 @@ OPTION_GROUPS: Mapping[str, Sequence[str]] = {
     "options-findings": ("shrink_runs", "corpus", "save", "report", "json", "debug"),
     "options-strictness": ("strict_drift", "strict_health", "allow_orphans", "today"),
 }
-"""The options by table."""
+"""The options, by table."""
 
 RUN_GROUPS: Mapping[str, Sequence[str]] = {
     "run-end": ("outcome", "collision", "off_road", "ads_error", "duration", "max_decision_time"),
@@ -139,60 +138,62 @@ RUN_GROUPS: Mapping[str, Sequence[str]] = {
         *("trace", "scenario"),
     ),
 }
-"""The attributes of a run by table. The Python API has the others, which pages and summaries need."""
+"""The attributes of a run, by table. The Python API also lists attributes that only reports and summaries use."""
 
 SEARCH_KEYS = ("node_id", "base_seed, seed", "kinds, outcomes, responsibilities", "finds")
 FINDING_KEYS = ("id", "test", "status", "result", "file", "replay", "headline", "detail", "xfail")
-"""The keys of --pafot-json that most programs need. The Python API has all."""
+"""The keys of --pafot-json that most programs need. The Python API lists all keys."""
 
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the file format, `3`.",
-    "scenario.seed": "Seed of all random choices in the run.",
+    "scenario.seed": "Seed of the package's random choices in the run.",
     "scenario.ego": "Start of the ego: its `lane`, counted from 0 at the left, and its `speed` [m/s]. NPCs that do not "
     "cross the ego's path start at the same speed.",
     "scenario.gene_seconds": "Duration of each instruction [s]. The default is `10.0`.",
     "scenario.traffic": "[Driving style of the NPCs](scenarios.md#traffic-styles). The default is `paper`.",
     "scenario.vehicles": "[Vehicle types](scenarios.md#vehicles) of the NPCs that are not cars, such as `{NPC 1: "
     "truck}`.",
-    "scenario.npcs": "[Instructions](scenarios.md) of each NPC: `{cell, speed}`, `{lane, speed}` or, only once, "
+    "scenario.npcs": "[Instructions](scenarios.md) of each NPC: `{cell, speed}`, `{lane, speed}` or a single "
     "`{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.failure": "Class of the exception, or `ProcessCrash` if the process died or hung.",
-    "expect.assertion": "Failing assertion, in which `N` replaces each number, or name of the failed check. For "
+    "expect.assertion": "Failed assertion, with numbers replaced by `N`, or name of the failed check. For "
     "other exceptions, the failing statement or the first line of the message.",
     "expect.check": "Values of a failed check: `value`, `at_most`, `at_least` and `unit`.",
     "expect.message": "First line of the message, unless `assertion` contains it.",
     "expect.outcome": "[How the run ended](run.md#how-a-run-ends).",
-    "expect.time": "Time of the failed check or, without a check, of the most important event [s].",
-    "expect.npc, expect.cell": "NPC in the collision and its cell. Without a collision, the NPC with the smallest time "
-    "to contact. For a failed check, the NPC that the check names.",
+    "expect.time": "Time [s] of the failed check or, without a check, of the most important event.",
+    "expect.npc, expect.cell": "NPC in the collision, and its cell. Without a collision, the NPC with the smallest "
+    "time to contact. For a failed check, the NPC that the check names.",
     "expect.zone": "Zone in which the NPC crossed the ego's path, such as `crossing from the left`.",
     "expect.side, expect.closing_speed": "Side of the ego that was hit, and closing speed [m/s].",
-    "expect.situation": "Positions and speeds shortly before the failure. A replay that passes checks whether [this "
+    "expect.situation": "Positions and speeds shortly before the failure. If a replay passes, it reports whether [this "
     "situation occurred](../explanation/findings.md).",
-    "expect.responsibility, expect.fault": "Side that is [responsible](../explanation/verdicts.md) for the "
-    "collision, and the rule that the ego broke.",
+    "expect.responsibility, expect.fault": "Who is [responsible](../explanation/verdicts.md) for the "
+    "collision, and which rule the ego broke.",
     "expect.mistake": "Driving error of the ego, if `fault` is `entered-lane`.",
-    "expect.npc_manoeuvre, expect.ego_manoeuvre": "`lane-change` or `lane-keeping`, shortly before the collision.",
-    "expect.takeover": "Latest time before the impact [s] at which [a careful driver](../explanation/findings.md) "
-    "could take over and reliably avoid it. `0.0` if there is none in the last 3 s.",
+    "expect.npc_manoeuvre, expect.ego_manoeuvre": "Manoeuvre shortly before the collision: `lane-change` or "
+    "`lane-keeping`.",
+    "expect.takeover": "Latest takeover [s before the impact] by [a careful driver](../explanation/findings.md) "
+    "that reliably avoids the collision. `0.0` if there is none in the last 3 s.",
     "expect.against": "Reference policy that passed, such as `module:factory`.",
     "expect.traceback": "Traceback of an exception in the policy.",
-    "found.seed": "Seed of the search. It is not a value for `--pafot-seed`.",
+    "found.seed": "Seed of the search. It is not the value of `--pafot-seed`.",
     "found.algorithm, found.generation, found.policy": "Algorithm, generation (counted from 0) and policy of the "
     "search.",
     "found.worst_closing_speed": "Highest closing speed [m/s] of all runs with this failure in the search.",
     "found.versions": "Versions of the packages on which the run depends, and of the rules of responsibility.",
-    "perception": "Arguments of [`pafot.Perception`](../guide/planners.md) that differ from the defaults.",
+    "perception": "Arguments of [`pafot.Perception`](../guide/planners.md) that differ from their defaults.",
     "shrunk.rollouts, shrunk.before": "Number of runs used for shrinking, and size of the original scenario.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md) were tried.",
     "rate": "How often [a random policy](../guide/triage.md) failed: `failing` of `runs`. Each run had a different "
     "seed, unless the file is `flaky`.",
     "flaky": "Difference between two runs of the scenario. Remove this line once the failure is repeatable.",
-    "test": "Node id of the test. Only the folder determines which test replays the file.",
+    "test": "Node id of the test. The folder alone determines which test replays the file.",
     "world": "`kind` and arguments of the [world](worlds.md).",
-    "xfail": "`reason` for [accepting the failure](../guide/triage.md), and the last day (`until`).",
+    "xfail": "`reason` for [accepting the failure](../guide/triage.md), and `until`, the last day on which it is "
+    "accepted.",
 }
-"""Meanings of the keys of a corpus file."""
+"""Meanings of the keys in a corpus file."""
 
 
 def sections() -> dict[str, str]:
@@ -237,10 +238,10 @@ def sections() -> dict[str, str]:
 
 
 def generated(text: str) -> str:
-    """Return a document with its generated sections as the code has them now.
+    """Return a document with up-to-date generated sections.
 
     Raises:
-        KeyError: if a section has a name that is not generated.
+        KeyError: if a section has an unknown name.
     """
     made = sections()
     return _SECTION.sub(lambda found: f"{found[1]}{made[found[2]]}{found[3]}", text)
@@ -306,7 +307,7 @@ def _default(field: Field[Any]) -> str:
 
 
 def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of a docstring's block with this heading."""
+    """Yield the names and descriptions in the section of a docstring with this heading."""
     _, found, block = (inspect.getdoc(thing) or "").partition(f"{heading}\n")
     entries: list[tuple[str, str]] = []
     for line in block.split("\n\n")[0].splitlines() if found else []:
@@ -333,7 +334,7 @@ def _first_paragraph(docstring: str | None) -> str:
 
 
 def _value(function: Callable[..., Any]) -> str:
-    """Return the description of what a function returns."""
+    """Return the description of a function's return value."""
     text = _first_paragraph(function.__doc__).removeprefix("Return ")
     return _capital(re.sub(r"^[Tt]he (?!\w+'s)", "", text))
 
@@ -439,7 +440,7 @@ def _signals_table() -> str:
 
 
 def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: Sequence[str] = ()) -> str:
-    """Return the table of a command's options; those of ``as_in_mark`` are one row, which leads to the mark's."""
+    """Return the table of a command's options. The options in ``as_in_mark`` share one row, which links to the mark."""
     parser = argparse.ArgumentParser(add_help=False)
     add(parser)
     rows = []
@@ -455,7 +456,7 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
             (action.help or "") % vars(action),
         )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
-        if action.dest == "config":  # the page on all forms of a world explains it
+        if action.dest == "config":  # it belongs to --world, so they share a row
             rows[-1][0] += f", `{name}`"
         else:
             rows.append([f"`{name}`", _capital(text) + "."])
@@ -484,7 +485,7 @@ def _ready_list() -> str:
 
 
 def _stated(function: Callable[..., Any]) -> str:
-    """Return the parameters of a function with their defaults, long ones as ``...``."""
+    """Return a function's parameters with their defaults. A long default becomes ``...``."""
     stated = []
     for each in inspect.signature(function).parameters.values():
         default = "..." if isinstance(each.default, RssRules) else repr(each.default)

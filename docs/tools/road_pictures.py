@@ -83,7 +83,7 @@ def picture(env_id: str) -> Image.Image:
     trace = found(world)
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     origin = Found(seed=1, generation=0, algorithm="random", versions={})
-    finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
+    finding = Finding.from_run(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
     view = finding_view(Seen(finding=finding, node_id="", observed=Observed(run=Run(trace))))
     print(f"{env_id}: {view['headline']}, responsible: {finding.expect.responsibility}")
     moment = trace.duration - BEFORE_IMPACT

@@ -1,7 +1,7 @@
-"""Positive controls: highway-env's IDM+MOBIL with exactly one defect each, and one with two defects.
+"""Positive controls: variants of highway-env's IDM+MOBIL driver with one defect each, and one with two defects.
 
-Kind (c): each is a vehicle class that drives itself. ``make("follows-too-close")`` returns the class; importing this
-package does not import highway-env. The docstring of each class says what the defect is and why it happens in practice.
+Each policy is a vehicle class that drives itself. For example, ``make("follows-too-close")`` returns a class. Importing
+this package does not import highway-env. Each class's docstring describes the defect and why it occurs in practice.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ POLICIES: Mapping[str, str] = MappingProxyType(
         "two-defects": "combined:IgnoresStandingAndLooksOnlyAhead",
     }
 )
-"""The module and class of each policy by its name; ``healthy`` has no defect."""
+"""The module and class of each policy, by its name. The policy ``healthy`` has no defect."""
 
 COMBINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"two-defects": ("ignores-standing-vehicles", "looks-only-ahead")}
 )
-"""The policies with more than one defect, and their defects."""
+"""The policies with more than one defect, each with the names of its defects."""
 
 
 def make(name: str) -> type[Any]:
-    """Return the vehicle class of a policy; pass it to the world unchanged.
+    """Return the vehicle class of a policy. Pass the class to the world unchanged.
 
     Raises:
         KeyError: if the name is not in :data:`POLICIES`.

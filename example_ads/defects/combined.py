@@ -1,4 +1,4 @@
-"""A driver with two independent defects, which a search has to distinguish."""
+"""A driver with two independent defects, which a search must distinguish."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from .perception import IgnoresStandingVehicles
 
 
 class IgnoresStandingAndLooksOnlyAhead(IgnoresStandingVehicles, LooksOnlyAhead):
-    """A driver that ignores vehicles slower than 3 m/s, and the follower in the lane that it enters.
+    """A driver that ignores vehicles slower than 3 m/s, and the vehicle behind in a lane that it enters.
 
-    Why it happens: defects do not come alone. The first fails along the lane, the second across it.
+    Why it happens: defects rarely come alone. The first causes failures along the lane, and the second across lanes.
     """

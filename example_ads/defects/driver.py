@@ -1,7 +1,7 @@
-"""The healthy driver that all defective ones derive from: highway-env's IDM+MOBIL, with methods to override.
+"""The healthy driver from which all defective drivers derive: highway-env's IDM+MOBIL, with methods to override.
 
-It drives exactly as ``IDMVehicle`` does. It perceives the others only through :meth:`Driver.sees` and
-:meth:`Driver.neighbours`, and it has a clock. A defect overrides one of these or one formula of the model.
+It drives exactly as ``IDMVehicle`` does, but has a clock, and perceives other vehicles only through
+:meth:`Driver.sees` and :meth:`Driver.neighbours`. A defect overrides one of these methods or one formula of the model.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ class Driver(IDMVehicle):  # type: ignore[misc]
         self.road = Perceived(road, self)
 
     def sees(self, other: Any) -> bool:
-        """Return whether the driver takes another vehicle into account at all."""
+        """Return whether the driver takes another vehicle into account."""
         return True
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """Return the vehicles ahead and behind in a lane, or None instead of one that the driver ignores."""
+        """Return the vehicles ahead and behind in a lane. A vehicle that the driver ignores becomes None."""
         return ahead, behind
 
     def relative(self, other: Any) -> tuple[float, float]:
-        """Return how far another vehicle's centre is ahead and to the right, along the driver's lane [m]."""
+        """Return how far [m] another vehicle's centre is ahead and to the right, relative to the driver's lane."""
         along, across = self.lane.local_coordinates(self.position)
         other_along, other_across = self.lane.local_coordinates(other.position)
         return float(other_along - along), float(other_across - across)
 
     def step(self, dt: float) -> None:
-        """Advance the time [s]."""
+        """Advance the vehicle and its clock by a time [s]."""
         self.clock += dt
         super().step(dt)
 
 
 class Perceived(Road):  # type: ignore[misc]
-    """A road with only the vehicles that its driver sees."""
+    """A road with only the vehicles that a driver sees."""
 
     def __init__(self, road: Road, driver: Driver) -> None:
         self._road, self._driver = road, driver
@@ -58,21 +58,21 @@ class Perceived(Road):  # type: ignore[misc]
 
     @property
     def everybody(self) -> list[Any]:
-        """All other vehicles, seen or not."""
+        """All other vehicles, whether or not the driver sees them."""
         return [other for other in self._road.vehicles if other is not self._driver]
 
     @property
     def vehicles(self) -> list[Any]:
-        """The driver itself and the vehicles that it sees, in the order of the road."""
+        """The driver and the vehicles that it sees, in the same order as on the road."""
         driver = self._driver
         return [other for other in self._road.vehicles if other is driver or driver.sees(other)]
 
     @vehicles.setter
     def vehicles(self, value: list[Any]) -> None:
-        """Ignore the empty list that highway-env sets at first: the vehicles of the road count."""
+        """Ignore the empty list that highway-env assigns, because the vehicles come from the original road."""
 
     def neighbour_vehicles(self, vehicle: Any, lane_index: Any = None) -> tuple[Any, Any]:
-        """Return the vehicles ahead and behind in a lane; for the driver, only those that it takes into account."""
+        """Return the vehicles ahead and behind in a lane. For the driver, ignored vehicles become None."""
         ahead, behind = super().neighbour_vehicles(vehicle, lane_index)
         driver = self._driver
         return (

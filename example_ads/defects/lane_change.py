@@ -1,4 +1,4 @@
-"""Defects in how a driver changes lanes: it does not look, or not everywhere."""
+"""Drivers that change lanes without checking all vehicles in the new lane."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from .driver import Driver
 
 
 class LooksOnlyAhead(Driver):
-    """A driver that checks the vehicle ahead in the lane that it enters, but never the one behind.
+    """A driver that checks the vehicle ahead in the lane that it enters, but never the vehicle behind.
 
-    Why it happens: there is no rear sensor, or the check of the follower was postponed because all tests had traffic
-    only in front.
+    Why it happens: there is no rear sensor, or the rear check was postponed because no test had traffic behind.
     """
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """Return no vehicle behind in other lanes."""
+        """Return the vehicles ahead and behind, but none behind in another lane."""
         return ahead, behind if lane_index == self.lane_index else None
 
 
 class ChangesLanesUnchecked(Driver):
-    """A driver that changes lanes without looking every eight seconds; in between it looks.
+    """A driver that changes lanes without looking every eight seconds. Its other lane changes are healthy.
 
-    Why it happens: the route requires a lane change, and when its timer expires, the request overrides the check.
+    Why it happens: the route requires a lane change, and when a timer expires, this request overrides the check.
     """
 
     SECONDS = 8.0
@@ -32,7 +31,7 @@ class ChangesLanesUnchecked(Driver):
         self._due = self.SECONDS
 
     def mobil(self, lane_index: Any) -> bool:
-        """Return the decision of MOBIL, or True every eight seconds."""
+        """Return MOBIL's decision or, every eight seconds, True."""
         if self.clock < self._due:
             return bool(super().mobil(lane_index))
         self._due += self.SECONDS
@@ -40,15 +39,15 @@ class ChangesLanesUnchecked(Driver):
 
 
 class TrustsAnyGapBehind(Driver):
-    """A driver that accepts a gap of 1.5 m to the follower in the lane that it enters, however fast that one is.
+    """A driver that accepts a gap of 1.5 m to the vehicle behind in the lane that it enters, at any speed.
 
-    Why it happens: the check of the gap was written for a queue, where all vehicles drive alike, and ignores speeds.
+    Why it happens: the check of the gap ignores speeds, because it was written for queues.
     """
 
     ENOUGH = 1.5
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """Return a vehicle behind in another lane only if it is too near even for a queue."""
+        """Return the vehicles ahead and behind. In another lane, a vehicle behind counts only if it is very near."""
         if lane_index == self.lane_index or behind is None:
             return ahead, behind
         gap = -self.relative(behind)[0] - self.LENGTH

@@ -1,4 +1,4 @@
-"""Defects in what a driver perceives: it overlooks or forgets others, or sees them late."""
+"""Drivers that overlook or forget other vehicles, or see them late."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from .driver import Driver
 
 
 class BlindBesideFrontWheel(Driver):
-    """A driver that does not see a vehicle in the next lane that is level with its front wheel.
+    """A driver that does not see vehicles in adjacent lanes that are level with its front wheels.
 
-    Why it happens: the fields of view of the forward camera and of the side radar do not meet, and no vehicle drove
-    there in the recorded data.
+    Why it happens: there is a gap between the fields of view of the forward camera and the side radar, and in the
+    recorded data, no vehicle drove there.
     """
 
     FIRST, LAST = -1.0, 6.0
-    """The range of the other's centre ahead of the driver's [m], in which its box covers the driver's front wheel."""
+    """The range of longitudinal distances [m] between the two centres in which the other is next to the front wheel."""
     NEAREST, FARTHEST = 1.5, 5.5
-    """The range of the distance between the two centres across the lane [m]."""
+    """The range of lateral distances [m] between the two centres."""
 
     def sees(self, other: Any) -> bool:
         """Return whether a vehicle is outside the two blind zones."""
@@ -28,10 +28,10 @@ class BlindBesideFrontWheel(Driver):
 
 
 class SeesOldSpeeds(Driver):
-    """A driver that sees the others where they would be if they had kept their speeds of two seconds ago.
+    """A driver that sees other vehicles where they would be if they had kept their speeds of two seconds ago.
 
-    Why it happens: perception takes two seconds, and constant-velocity prediction compensates for the delay. In flowing
-    traffic this goes unnoticed.
+    Why it happens: perception takes two seconds, and a constant-velocity prediction compensates for the delay. This
+    goes unnoticed in flowing traffic.
     """
 
     DELAY = 2.0
@@ -48,7 +48,7 @@ class SeesOldSpeeds(Driver):
         super().act(action)
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
-        """Return the IDM's acceleration [m/s^2], its own or that expected of a follower, among the predicted others."""
+        """Return the IDM's acceleration [m/s^2] of the driver or another vehicle, using the predicted states."""
         return float(super().acceleration(self._as_seen(ego_vehicle), self._as_seen(front_vehicle), rear_vehicle))
 
     def _look_at(self, other: Any) -> None:
@@ -67,10 +67,10 @@ class SeesOldSpeeds(Driver):
 
 
 class SeesCutInsLate(Driver):
-    """A driver that ignores a vehicle in the first two seconds after it has entered a different lane.
+    """A driver that ignores each vehicle for two seconds after the vehicle has entered another lane.
 
-    Why it happens: many frames must confirm a leader in the same lane before the driver reacts to it, because the
-    tracker used to brake for vehicles that only came near the line.
+    Why it happens: many frames must confirm a new leader before the driver reacts to it, because the driver used to
+    brake for vehicles that only came near the line.
     """
 
     CONFIRMATION = 2.0
@@ -80,7 +80,7 @@ class SeesCutInsLate(Driver):
         self._lanes: dict[Any, tuple[Any, float]] = {}
 
     def act(self, action: Any = None) -> None:
-        """Note which vehicles have entered a different lane and when, then drive."""
+        """Record when each vehicle entered its lane, then drive."""
         for other in self.road.everybody:
             lane, _ = self._lanes.get(other, (None, 0.0))
             if lane is None:
@@ -90,7 +90,7 @@ class SeesCutInsLate(Driver):
         super().act(action)
 
     def sees(self, other: Any) -> bool:
-        """Return whether a vehicle is confirmed."""
+        """Return whether a vehicle has been in its lane for long enough."""
         _, entered = self._lanes[other]
         return bool(self.clock >= entered + self.CONFIRMATION)
 
@@ -98,22 +98,22 @@ class SeesCutInsLate(Driver):
 class IgnoresStandingVehicles(Driver):
     """A driver that ignores vehicles slower than 3 m/s.
 
-    Why it happens: a radar sees bridges and signs as objects at rest, so adaptive cruise controls drop slow returns. A
-    leader that stops is dropped, too, and the driver speeds up into it.
+    Why it happens: a radar sees bridges and signs as stationary objects, so adaptive cruise control discards slow
+    objects. It also discards a leader that stops, and the driver accelerates into it.
     """
 
     SLOWEST = 3.0
 
     def sees(self, other: Any) -> bool:
-        """Return whether a vehicle moves."""
+        """Return whether a vehicle moves at 3 m/s or more."""
         return bool(other.speed >= self.SLOWEST)
 
 
 class ForgetsAfterLaneChange(Driver):
-    """A driver that sees no other vehicle for three seconds after it has entered a different lane.
+    """A driver that sees no other vehicles for three seconds after changing lanes.
 
-    Why it happens: tracks are stored relative to the driver's lane. When that changes, they are dropped, and several
-    frames must confirm each before it counts again.
+    Why it happens: tracks are stored relative to the driver's lane. After a lane change, they are deleted, and several
+    frames must confirm each new track.
     """
 
     CONFIRMATION = 3.0
@@ -124,12 +124,12 @@ class ForgetsAfterLaneChange(Driver):
         self._blind_until = 0.0
 
     def act(self, action: Any = None) -> None:
-        """Drop all tracks in a new lane, then drive."""
+        """Become blind for three seconds in a new lane, then drive."""
         if self.lane_index != self._tracked_lane:
             self._tracked_lane = self.lane_index
             self._blind_until = self.clock + self.CONFIRMATION
         super().act(action)
 
     def sees(self, other: Any) -> bool:
-        """Return True for all vehicles, after their tracks are confirmed."""
+        """Return whether the driver sees other vehicles again."""
         return self.clock >= self._blind_until

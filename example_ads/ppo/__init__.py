@@ -1,13 +1,13 @@
-"""A PPO policy on meta-actions (idle, lane left, lane right, faster, slower), run by numpy.
+"""A PPO policy that chooses meta-actions (idle, lane left, lane right, faster, slower) and is computed with numpy.
 
-Kind (b): it drives in ``pafot.World("highway-v0")`` with that environment's default observation (Kinematics, five
-vehicles) and action (DiscreteMetaAction, one decision a second). ``train.py`` in this folder trained its network with
-stable-baselines3. Only the actor is stored, as plain arrays in ``actor.npz``, so driving needs neither torch nor
+It drives in ``pafot.World("highway-v0")``, with that environment's default observation (Kinematics, five vehicles) and
+action (DiscreteMetaAction, one decision per second). ``train.py`` in this folder trained its network with
+stable-baselines3. Only the actor is stored, as numpy arrays in ``actor.npz``, so driving requires neither torch nor
 stable-baselines3.
 
-It is not intentionally flawed: in that environment's own traffic it crashed in 1 of 30 episodes. But highway-env's
-meta-actions have no speed below 20 m/s, it decides once a second, it does not see a vehicle two lengths or more behind,
-and it prefers slowing down to changing lanes. So it hits a vehicle that brakes hard ahead on an otherwise empty road.
+The policy is not intentionally flawed. In the environment's own traffic, it crashed in 1 of 30 episodes. However, it
+decides only once per second, cannot choose a speed below 20 m/s, does not see vehicles two lengths or more behind, and
+prefers slowing down to changing lanes. It therefore hits a vehicle ahead that brakes hard on an otherwise empty road.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class PpoPolicy:
         self._layers = layers
 
     def __call__(self, observation: npt.NDArray[Shaped]) -> int:
-        """Return the meta-action, 0 to 4, for a Kinematics observation of shape [vehicles, features]."""
+        """Return the meta-action, from 0 to 4, for a Kinematics observation of shape [vehicles, features]."""
         return int(np.argmax(self.logits(observation)))
 
     def logits(self, observation: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
@@ -43,7 +43,7 @@ class PpoPolicy:
         return self._outputs(observation.ravel())
 
     def _outputs(self, inputs: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
-        """Return the network's outputs for one flat observation, or for a row each."""
+        """Return the network's outputs for one flat observation, or for each row of observations."""
         *hidden, (last_weights, last_biases) = self._layers
         units = inputs.astype(np.float32)
         for weights, biases in hidden:
@@ -52,11 +52,11 @@ class PpoPolicy:
 
 
 def read_actor(path: Path = ACTOR) -> Layers:
-    """Read the layers from ``train.py``: arrays ``weights_0``, ``biases_0``, ``weights_1`` ... from the input on."""
+    """Read the layers that ``train.py`` has written as ``weights_0``, ``biases_0``, ``weights_1`` and so on."""
     with np.load(path, allow_pickle=False) as arrays:
         return tuple((arrays[f"weights_{n}"], arrays[f"biases_{n}"]) for n in range(len(arrays.files) // 2))
 
 
 def make() -> PpoPolicy:
-    """Return a fresh policy with the weights of this package."""
+    """Return a new policy with the weights in this package."""
     return PpoPolicy(read_actor())

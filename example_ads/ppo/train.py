@@ -1,11 +1,11 @@
-"""Train the PPO policy of this folder and write its actor as plain numpy arrays.
+"""Train the PPO policy in this folder, and write its actor as numpy arrays.
 
     pip install "pytest-pafot[sb3]"
     python -m example_ads.ppo.train
 
-This takes about six minutes on one core. Then it prints how often the result crashes in unmodified ``highway-v0``, and
-on how many observations its numpy form chooses the same action as stable-baselines3. ``--report-only`` prints the
-crashes of the weights in this package: 1 in 30 episodes, at 20 m/s.
+This takes about six minutes on one core. The program then prints how often the policy crashes in unmodified
+``highway-v0``, and for how many observations the numpy version chooses the same action as stable-baselines3.
+``--report-only`` prints only the crashes with the weights in this package: 1 in 30 episodes, at 20 m/s.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ TRAINING_CONFIG = {
     "high_speed_reward": 0.5,
     "right_lane_reward": 0.0,
 }
-"""Changes to ``highway-fast-v0``, which steps its physics 5 times a second and tests only the ego for collisions.
+"""Changes to ``highway-fast-v0``, which simulates 5 ticks per second and checks only the ego for collisions.
 
-It has four lanes as in ``highway-v0``, but is shorter and denser, so that more of the simulation is useful for
-learning.
+With these changes, it has four lanes, like ``highway-v0``, but shorter episodes and denser traffic, so that more of the
+simulation is useful for learning.
 """
 
 SCALES = np.array([1, 8, 4, 16, 16], dtype=np.float32)
-"""The factors of presence, x, y, vx and vy in training, so that 25 m, a lane and 5 m/s are each about 1.
+"""The factors for presence, x, y, vx and vy in training, which make 25 m, one lane and 5 m/s each about 1.
 
 highway-env divides by 200 m and 80 m/s, which makes the relevant differences too small for a new network. The factors
-are powers of two, so that the first layer can absorb them without rounding.
+are powers of two, so that they can be multiplied into the first layer without rounding.
 """
 
 Decide = Callable[[npt.NDArray[np.float32]], int]
 
 
 class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment in which half of the others slow down to between 8 and 20 m/s.
+    """An environment in which half of the other vehicles slow down to between 8 and 20 m/s.
 
-    All of highway-env's traffic drives at 21 m/s or more, and the slowest meta-action at 20. Then slowing down always
-    works, and a policy learns nothing else.
+    All of highway-env's traffic drives at 21 m/s or more, and the lowest speed of the meta-actions is 20 m/s. Without
+    this change, slowing down always works, and a policy learns nothing else.
     """
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -64,7 +64,7 @@ class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def train(steps: int, seed: int) -> Any:
-    """Return a stable-baselines3 PPO model after this many environment steps."""
+    """Train a stable-baselines3 PPO model for a number of environment steps, and return it."""
     model = untrained(
         UnevenTraffic(gym.make("highway-fast-v0", config=TRAINING_CONFIG)),
         seed,
@@ -77,7 +77,7 @@ def train(steps: int, seed: int) -> Any:
 
 
 def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
-    """Return a new stable-baselines3 PPO model, with more arguments, in an environment with scaled observations."""
+    """Return a new stable-baselines3 PPO model for an environment, whose observations it scales."""
     import torch  # noqa: PLC0415 - the extra `sb3`
     from stable_baselines3 import PPO  # noqa: PLC0415
 
@@ -102,13 +102,13 @@ def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
 
 
 def actor_of(model: Any) -> Layers:
-    """Return the actor's layers from the input on, for the unscaled observations of highway-env."""
+    """Return the actor's layers, first layer first, for the unscaled observations of highway-env."""
     layers = [(layer.weight.detach().numpy().T, layer.bias.detach().numpy()) for layer in actor_modules(model)]
     return in_scale(layers, SCALES)
 
 
 def give_actor(model: Any, layers: Layers) -> None:
-    """Make a model decide as these layers do, the inverse of :func:`actor_of`. Its critic does not change."""
+    """Copy layers into a model's actor, the inverse of :func:`actor_of`. The critic does not change."""
     import torch  # noqa: PLC0415
 
     with torch.no_grad():
@@ -118,7 +118,7 @@ def give_actor(model: Any, layers: Layers) -> None:
 
 
 def actor_modules(model: Any) -> list[Any]:
-    """Return the linear modules of a model's actor, from the input on."""
+    """Return the linear modules of a model's actor, first layer first."""
     import torch  # noqa: PLC0415
 
     modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
@@ -126,21 +126,21 @@ def actor_modules(model: Any) -> list[Any]:
 
 
 def in_scale(layers: Iterable[tuple[Any, Any]], scales: npt.NDArray[np.float32]) -> Layers:
-    """Return the layers for inputs without scales, given one scale for each feature of a vehicle."""
+    """Return layers for unscaled inputs from layers for scaled inputs, with one scale per feature of a vehicle."""
     (first, biases), *rest = layers
     per_input = np.tile(scales, len(first) // len(scales))[:, np.newaxis]
     return ((first * per_input, biases), *rest)
 
 
 def write_actor(path: Path, layers: Layers) -> None:
-    """Write layers in the format of :func:`read_actor`."""
+    """Write layers in the format that :func:`read_actor` reads."""
     arrays = {f"weights_{n}": np.ascontiguousarray(weights) for n, (weights, _) in enumerate(layers)}
     arrays |= {f"biases_{n}": biases for n, (_, biases) in enumerate(layers)}
-    np.savez(path, **arrays)  # type: ignore[arg-type]  # its keyword arguments are arrays, except one flag
+    np.savez(path, **arrays)  # type: ignore[arg-type]  # all its keyword arguments are arrays, except one flag
 
 
 def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[int, list[npt.NDArray[np.float32]]]:
-    """Return in how many of the episodes 0, 1, 2 ... the policy crashed, and all its observations."""
+    """Return the number of episodes in which the policy crashed, and all its observations."""
     env = gym.make(env_id)
     crashed, seen = 0, []
     for seed in range(episodes):
@@ -156,18 +156,18 @@ def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[
 
 
 def agreement(model: Any, policy: PpoPolicy, observations: list[npt.NDArray[np.float32]]) -> int:
-    """Return on how many observations the numpy policy and stable-baselines3 choose the same action."""
+    """Return the number of observations for which the numpy policy and stable-baselines3 choose the same action."""
     return sum(policy(o) == int(model.predict(o * SCALES, deterministic=True)[0]) for o in observations)
 
 
 def main() -> None:
-    """Train, write, and report."""
+    """Train a policy, write its actor, and print a report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--steps", type=int, default=36_864, help="environment steps (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the training (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=ACTOR, help="file to write (default: %(default)s)")
-    parser.add_argument("--episodes", type=int, default=30, help="episodes of the report (default: %(default)s)")
-    parser.add_argument("--report-only", action="store_true", help="report on the file, without training")
+    parser.add_argument("--steps", type=int, default=36_864, help="number of environment steps (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed for training (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=ACTOR, help="file for the actor (default: %(default)s)")
+    parser.add_argument("--episodes", type=int, default=30, help="episodes for the report (default: %(default)s)")
+    parser.add_argument("--report-only", action="store_true", help="report on the existing file without training")
     options = parser.parse_args()
     gym.register_envs(highway_env)
     model = None if options.report_only else train(options.steps, options.seed)
@@ -175,10 +175,10 @@ def main() -> None:
         write_actor(options.output, actor_of(model))
     policy = PpoPolicy(read_actor(options.output))
     crashed, observations = crashes(policy, options.episodes)
-    print(f"crashed in {crashed} of {options.episodes} episodes of highway-v0 ({len(observations)} decisions)")
+    print(f"Crashed in {crashed} of {options.episodes} episodes of highway-v0 ({len(observations)} decisions).")
     if model is not None:
         sample = observations[:500]
-        print(f"numpy and stable-baselines3 agree on {agreement(model, policy, sample)} of {len(sample)} observations")
+        print(f"numpy and stable-baselines3 agree on {agreement(model, policy, sample)} of {len(sample)} observations.")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Search algorithms: they propose scenarios and learn from the evaluations."""
+"""Search algorithms, which propose scenarios and learn from their evaluations."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario
 from pytest_pafot.model.trace import FloatArray
 
-ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")  # the lanes of a Lane-Instruction
+# The values of `lane` in a Lane-Instruction.
+ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")
 LANE_CHANGE = 34.0  # weight of a lane change in the distance between two scenarios; 1 m/s has the weight 1
 RESTART_CANDIDATES = 1000  # random scenarios from which a restart selects its population
 LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never select
@@ -37,21 +38,21 @@ LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never 
 class AvFuzzerState:
     """The state of an AV-Fuzzer search."""
 
-    generation: int = 0  # generation of the main search, counted from 0, which is the random population
-    local_generation: int = 0  # 0 in the main search; in a local search from 1, the generation of the mutants
-    # selected at the end of the last generation; empty before a random population
+    generation: int = 0  # generation of the main search; 0 is the first random population
+    local_generation: int = 0  # 0 in the main search; a local search starts at 1, the generation of the mutants
+    # the members that the last generation selected; empty before a random population
     population: tuple[Evaluation, ...] = ()
-    local_population: tuple[Evaluation, ...] = ()  # the same within a local search
+    local_population: tuple[Evaluation, ...] = ()  # the same for the current local search
     global_best: Evaluation | None = None  # the fittest of all generations; it survives restarts
     local_best: Evaluation | None = None  # the best of the current local search
-    slot: int = 0  # index of the best in the population, which the result of a local search may replace
-    # the highest fitness of each selected population since the last random one, starting with that one
+    slot: int = 0  # index of the best member of the population, which the result of a local search can replace
+    # the highest fitness of each selected population, from the last random population on
     bests: tuple[float, ...] = ()
     restarted_at: int = 0  # the generation whose population was random
     # the features of all selected populations so far, including those of local searches
     checkpoints: tuple[FloatArray, ...] = ()
     fresh: tuple[Scenario, ...] = ()  # a random population to evaluate next
-    # positions in the population and scenarios that are being evaluated; None if the next call must be ask
+    # the scenarios under evaluation, each with its position in the population; None if the next call must be ask
     asked: tuple[tuple[int, Scenario], ...] | None = None
 
 
@@ -59,9 +60,9 @@ class AvFuzzerState:
 class AvFuzzerSearch:
     """AV-Fuzzer's search, with the default values from its released code."""
 
-    # There are these differences to the released code. The five slices fill the scenario (12 s each in 60 s; the
-    # released code has 3 s). Two NPCs start two seconds ahead at the ego's speed, have hard limits and give way to each
-    # other. A random population is a separate generation. A collision between NPCs makes the run invalid.
+    # It differs from the released code as follows. The five slices fill the scenario (12 s each in 60 s; the released
+    # code has 3 s). Two NPCs start two seconds ahead at the ego's speed, have hard limits and give way to each other. A
+    # random population is a separate generation. A collision between NPCs makes the run invalid.
 
     name: ClassVar[str] = "av-fuzzer"
     is_papers: ClassVar[bool] = True
@@ -69,22 +70,24 @@ class AvFuzzerSearch:
     instructions: ClassVar[tuple[str, ...]] = ("lanes",)
 
     # The NPCs, the speed limit and the start of the scenarios. All slices together last as long as all genes of a
-    # chain in this space, so that algorithms are compared over equal times.
+    # chain in this space, so that algorithms are compared over the same duration.
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)  # number of scenarios in a generation
     slices: int = field(default=5, kw_only=True)  # number of manoeuvres of each NPC, one per time slice
-    # A generation of n scenarios has n // 2 crossovers with this probability each.
+    # A generation of n scenarios has n // 2 possible crossovers, each with this probability.
     crossover_rate: float = field(default=0.4, kw_only=True)
     mutation_rate: float = field(default=0.4, kw_only=True)  # probability that one manoeuvre of a scenario changes
-    # Generations after the mutants with which a local search starts; 0 turns local searches off.
+    # Number of generations in a local search after its mutants; 0 disables local searches.
     local_generations: int = field(default=5, kw_only=True)
     local_mutation_factor: float = field(default=1.5, kw_only=True)  # the resulting rate is at most 1
-    local_after: int = field(default=2, kw_only=True)  # generations after a random population without a local search
+    local_after: int = field(default=2, kw_only=True)  # generations without local searches after a random one
     restart_after: int = field(default=5, kw_only=True)  # generations without progress before a restart
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise ValueError(f"population: expected at least 2, for a crossover, but received {self.population!r}")
+            raise ValueError(
+                f"population: expected at least 2 parents for crossovers, but received {self.population!r}"
+            )
         rates, factors = ("crossover_rate", "mutation_rate"), ("local_mutation_factor",)
         counts = {"slices": 1, "local_generations": 0, "local_after": 0, "restart_after": 1}
         check_parameters(self, rates=rates, factors=factors, **counts)
@@ -98,7 +101,7 @@ class AvFuzzerSearch:
 
     def ask(self, state: AvFuzzerState, rng: Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
         check_ask(state.asked)
-        # Members that neither crossover nor mutation selected are not run again. There may be no scenario at all.
+        # Members that were selected neither for crossover nor for mutation are not run again. That can be all members.
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._vary(state, rng)
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
 
@@ -118,7 +121,7 @@ class AvFuzzerSearch:
             elites=len(population) - len(evaluations),
         )
         state = replace(state, asked=None)
-        # A random population and the mutants of an incumbent are varied without a selection.
+        # A random population and the mutants of an incumbent are varied without selection.
         selected = tuple(population)
         if not is_random and state.local_generation != 1:
             selected = roulette(selected, rng)
@@ -168,7 +171,7 @@ class AvFuzzerSearch:
             fresh, after = farthest(candidates, np.concatenate(state.checkpoints), self.population), generation + 1
             state = replace(state, generation=after, population=(), restarted_at=after, bests=(), fresh=fresh)
             return state, tuple(events)
-        # A local search needs a new best since the last restart, in a generation that is old enough.
+        # A local search needs a new best since the last restart, and enough generations since then.
         improves = fitness > max(earlier, default=-math.inf)
         incumbent = state.global_best
         if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
@@ -186,7 +189,7 @@ class AvFuzzerSearch:
             return replace(state, local_generation=state.local_generation + 1), ()
         incumbent = state.global_best
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
-        # The result replaces the best member of the main population, but only if it beats the best of the search.
+        # The result replaces the best member of the main population only if it beats the best of the whole search.
         replaced = best.eligible and _weight(best) > _weight(incumbent)
         population = list(state.population)
         if replaced:
@@ -245,9 +248,9 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
     """Return the ``count`` candidates with the greatest mean distance to earlier scenarios.
 
-    ``checkpoints`` contains their :func:`features`, as an array of shape [scenarios, NPCs, slices, 2].
+    ``checkpoints`` contains the :func:`features` of these scenarios, as an array of shape [scenarios, NPCs, slices, 2].
     """
-    of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))  # stores each number for all scenarios in a row
+    of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))  # makes the values of all scenarios contiguous
     checkpoints = np.moveaxis(of_all, -1, 0)
     by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
     return tuple(by_distance[:count])
@@ -256,7 +259,7 @@ def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int
 def features(scenario: Scenario) -> FloatArray:
     """Return the numbers by which AV-Fuzzer compares scenarios, as an array of shape [NPCs, slices, 2]."""
     rows = [
-        # Per slice: the speed, and -34 for a change to the left or 34 for a change to the right. Both are summed up
+        # Per slice: the speed, and -34 for a change to the left or 34 for a change to the right. Both are accumulated
         # below.
         [(gene.speed, LANE_CHANGE * gene.column) for gene in chain if isinstance(gene, LaneInstruction)]
         for chain in scenario.npcs
@@ -265,7 +268,7 @@ def features(scenario: Scenario) -> FloatArray:
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distance between the :func:`features` of scenarios."""
+    """Return the distances between the :func:`features` of one scenario and of others."""
     # The distance is Euclidean in each slice, summed over the slices and averaged over the NPCs.
     total = np.zeros(b.shape[:-3])
     # A loop over few NPCs and slices is faster than numpy's sums over short axes.

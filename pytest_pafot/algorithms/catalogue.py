@@ -16,7 +16,7 @@ from pytest_pafot.algorithms.plan import Algorithm, GenerationalSearch, Generati
 from pytest_pafot.algorithms.space import LANE_SHARES, SearchSpace, sample, sample_manoeuvres
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.support.references import referred_to
-from pytest_pafot.support.text import listed, meant
+from pytest_pafot.support.text import listed, suggest
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class RandomSearch:
     space: SearchSpace = field(default_factory=SearchSpace)
 
     def drawn(self, seed: int, number: int) -> Scenario:
-        """Return scenario ``number``, counted from 0, for a seed."""
+        """Return the scenario with this number, counted from 0, in a search with this seed."""
         return sample(self.space, rng_of(seed, number, 0))
 
 
@@ -77,8 +77,8 @@ class AlgorithmClass:
     name: str  # the name in files and reports; a class must define it
     # the fitness that it maximises unless the user requests another one: a name or a function
     fitness: str | Fitness = "default"
-    instructions: Sequence[str] = tuple(LANE_SHARES)  # kinds of instructions that it can sample, the default last
-    is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
+    instructions: Sequence[str] = tuple(LANE_SHARES)  # kinds of instructions that it can sample, default last
+    is_papers: bool = False  # whether its scenarios are like the paper's: two NPCs, one start and no patterns
     draws_vehicles: bool = False  # whether it samples from all vehicles that fit the world, if the mark names none
 
     @property
@@ -111,7 +111,7 @@ def _named(given: str) -> Any:
             return referred_to(given)
         except ValueError as error:
             raise ValueError(f"algorithm: {error}") from error
-    hint = meant(given, ALGORITHMS) or ". Use module:Class for your own algorithm."
+    hint = suggest(given, ALGORITHMS) or ". Use module:Class for your own algorithm."
     raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, but received {given!r}{hint}")
 
 
@@ -129,7 +129,7 @@ def _check_class(given: Any) -> None:
     missing += [] if isinstance(name, str) else ["name"]
     if missing:
         raise ValueError(
-            f"algorithm: expected a class with name, start, ask and tell, but {given.__name__} does not define "
+            f"algorithm: expected a class with name, start, ask and tell, but {given.__name__} lacks "
             f"{listed(missing)}. Derive it from pytest_pafot.algorithms.GenerationalSearch, or implement "
             "pytest_pafot.algorithms.Algorithm."
         )

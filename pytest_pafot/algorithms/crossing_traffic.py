@@ -1,4 +1,4 @@
-"""The sampling of NPCs on crossing paths, without conflicts between them."""
+"""The sampling of crossing NPCs that do not conflict with each other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Chromosome
 
-# Acts that are sampled. ``late`` is not, because it often leaves open which vehicle had to wait.
+# Acts that are sampled. ``late`` is not, because it often leaves unclear which vehicle had to wait.
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
 PASSES = 0.7  # fraction of the crossing NPCs that drive through their zone without stopping
 # Probability of each kind of slot. "Just after" is most likely, because it tests an ego that hesitates.
@@ -35,7 +35,7 @@ MOST_ATTEMPTS = 1000  # attempts to sample an instruction that fits its path, be
 
 @dataclass(frozen=True, slots=True)
 class CrossingTraffic:
-    """The distribution of the instructions of crossing NPCs.
+    """The distribution from which the instructions of crossing NPCs are sampled.
 
     Other NPCs are not checked for conflicts, because their paths depend on the ego.
     """
@@ -58,7 +58,7 @@ class CrossingTraffic:
             if self.crossings.fits(instruction):
                 return instruction
         raise ValueError(
-            f"crossings: expected paths on which an NPC can start and arrive, but none of {MOST_ATTEMPTS} instructions "
+            f"crossings: expected paths on which an NPC can start and arrive, but none of {MOST_ATTEMPTS} samples "
             f"fits (number of paths: {len(self.crossings.ways)}). Start the ego earlier, or use crossings=None."
         )
 
@@ -127,7 +127,7 @@ class CrossingTraffic:
         return another
 
     def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds [m/s] of NPCs that can arrive together with the ego."""
+        """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""
         low, high = self._bounds(zone)
         speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
         return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
@@ -139,7 +139,7 @@ class CrossingTraffic:
     def _bounds(self, zone: str) -> tuple[int, int]:
         """Return the limits on the target speed on a path, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
-        # The fastest section before the exit of the zone limits the target speed.
+        # The speed of the fastest section before the exit of the zone limits the target speed.
         allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
         high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
         return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high

@@ -1,4 +1,4 @@
-"""Evaluations of runs and their ranking, and the events and health of a search."""
+"""The evaluation and ranking of runs, and the events and health of a search."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.support.text import plural
 
-# A sort key for runs: eligible, failing, fitness. The first difference decides; greater is worse for the ego.
+# A sort key for runs: eligible, failing, fitness. The first element that differs decides; greater is worse for the ego.
 Rank = tuple[bool, bool, float]
 
 # An NPC in the ego's lane interacts with the ego if the headway or the gap is below these limits. NPCs start at a
-# headway of 2 s, so a start alone is no interaction.
+# headway of 2 s, so the start alone is not an interaction.
 INTERACTION_HEADWAY = 1.5  # [s]
 INTERACTION_GAP = 2.0  # [m]
 
@@ -31,7 +31,7 @@ BARELY_MOVING = 2.0
 # A vehicle is close to the ego if the two would touch within this time at constant speeds and headings [s].
 CLOSE = 2.0
 
-LEAVING = {Outcome.OFF_ROAD: "the ego's exit from the road", Outcome.LEFT_ROUTE: "the ego's exit from its route"}
+LEAVING = {Outcome.OFF_ROAD: "the ego left the road", Outcome.LEFT_ROUTE: "the ego left its route"}
 
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
@@ -47,14 +47,14 @@ class Evaluation:
         failing: whether the test function or the ADS failed.
         outcome: how the run ended.
         duration: simulated time [s].
-        genes_started: number of genes that started before the end, over all NPCs.
-        genes_reached: number of these genes for which the NPC reached the cell or lane.
+        genes_started: number of genes, over all NPCs, that started before the end of the run.
+        genes_reached: number of these genes whose cell or lane the NPC reached.
         interaction: see :func:`has_interaction`.
-        discarded: whether the test function rejected or skipped the run, or the process ended.
+        discarded: whether the test function rejected or skipped the run, or the process died.
         barely_moved: whether the ego's mean speed was below 2 m/s.
         kind: kind of failure, equal for failures that count as the same; None if unknown.
-        margins: name and worst margin of each check, sorted.
-        collision: collision in the run; None without one.
+        margins: name and worst margin of each check, sorted by name.
+        collision: the collision in the run, or None.
         ended: see :func:`ended_by`.
         gap: smallest gap to a vehicle [m] if the run ended early, otherwise infinite.
         is_close: whether a vehicle was within two seconds of the ego when the run ended early.
@@ -79,7 +79,8 @@ class Evaluation:
     gap: float = math.inf
     is_close: bool = False
     note: Any = field(default=None, compare=False, repr=False)
-    _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
+    # compared instead of `fitness`, because NaN is not equal to itself
+    _measured: float | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         fitness = float(self.fitness)
@@ -87,7 +88,7 @@ class Evaluation:
         object.__setattr__(self, "_measured", None if math.isnan(fitness) else fitness)
 
     @classmethod
-    def of(
+    def from_trace(
         cls,
         trace: Trace,
         *,
@@ -122,19 +123,19 @@ class Evaluation:
 
     @property
     def eligible(self) -> bool:
-        """True if the run can become the best: it is valid, and has a verdict and a fitness."""
+        """True if the run is valid and has a verdict and a fitness, so that it can become the best."""
         return not (self.outcome is Outcome.INVALID or self.discarded or math.isnan(self.fitness))
 
     @property
     def rank(self) -> Rank:
-        """The key that orders runs in a search: failing runs outrank all others, then fitness decides."""
-        # Other runs are equal and last, even if they fail: an invalid run shows nothing about the ego, and NaN cannot
-        # be compared.
+        """The key that orders runs in a search, first by whether they fail and then by fitness."""
+        # Runs that are not eligible are equal and last, even if they fail: an invalid run shows nothing about the ego,
+        # and NaN cannot be compared.
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
 
     @property
     def depth(self) -> int:
-        """The number of genes per NPC on which the run depended."""
+        """For each NPC, the number of genes that affected the run."""
         # The genes of all NPCs start at the same times, so their total number determines the number per NPC.
         lengths = [len(chain) for chain in self.executed.npcs]
         longest = max(lengths)
@@ -153,7 +154,7 @@ def has_interaction(trace: Trace) -> bool:
         return True
     columns = (X, Y, HEADING, SPEED, LANE)
     x, y, heading, speed, lane = (np.ascontiguousarray(trace.states[..., each].T) for each in columns)
-    # The distance of each NPC's centre ahead of the ego's [m], along the ego's heading, or its path on curved roads.
+    # How far each NPC's centre is ahead of the ego's [m], along the ego's heading or, on curved roads, its path.
     if trace.road.is_straight:
         ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
     else:
@@ -166,7 +167,7 @@ def has_interaction(trace: Trace) -> bool:
 
 
 def ended_by(trace: Trace) -> str:
-    """Return the cause if a run ended early without a collision, otherwise an empty string."""
+    """Return why a run ended early without a collision, or an empty string if it did not."""
     # If highway-env itself ends a run, as in its merges and intersections, the road ends there.
     is_own = not trace.ended.startswith("highway_env.")
     is_cut = trace.outcome in LEAVING and (trace.ended or trace.off_road_tick in (None, trace.ticks))
@@ -231,8 +232,8 @@ class EvaluationCache:
         """Return the evaluation that a run of the scenario would have, or None if it is unknown."""
         # A run that ended in gene d depended only on the start and on the first d genes of each NPC. Another scenario
         # has the same run if these genes equal the executed ones, which the repair does not change for any seed. It
-        # also has the same run if they equal the requested ones and the seed is equal. If `seeds_matter`, the seed must
-        # be equal in both cases.
+        # also has the same run if they equal the requested ones and the seeds are equal. If `seeds_matter`, the seeds
+        # must be equal in both cases.
         chains = plain_chains(scenario)
         for depth in self._depths:
             runs = self._evaluations.get(_key(scenario, chains, depth))
@@ -284,7 +285,7 @@ class Evaluated:
     local_generation: int
     index: int  # position in the generation's requested scenarios, from 0
     evaluation: Evaluation
-    reused: bool  # True if the evaluation is from an earlier run that shows the result
+    reused: bool  # True if an earlier run provided the evaluation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,7 +300,7 @@ class GenerationFinished:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewBest:
-    """A new best scenario since the last restart."""
+    """A scenario that is the best one since the last restart."""
 
     generation: int
     local_generation: int
@@ -341,7 +342,7 @@ class PlanFinished:
     evaluated: int  # evaluated scenarios
     simulated: int  # number of these that were simulated
     best: Evaluation | None  # None if no run was eligible
-    seconds: float = field(compare=False)  # by the clock of the search; not reproducible
+    seconds: float = field(compare=False)  # measured by the clock of the search, and therefore not reproducible
 
 
 # The events that an algorithm returns from `tell`.
@@ -351,37 +352,39 @@ Event = PlanStarted | Evaluated | AlgorithmEvent | PlanFinished  # the events of
 
 
 BROKEN = (Outcome.ADS_ERROR, Outcome.HANG)  # outcomes of runs that an error of the ADS cut short
-IMMEDIATE = 1.0  # [s]; driving rarely causes an event before this time
+IMMEDIATE = 1.0  # the time before which driving rarely causes an event [s]
 MOST_INVALID = 0.25  # fraction of the runs that may be invalid without a warning
-MOST_USELESS = 0.5  # fraction of the valid runs, per kind of run that tests nothing, and of all runs for early ends
-MOST_CLOSE = 0.1  # fraction of the runs that may end early with a vehicle close, or early without a note
+# fraction of the valid runs that may test nothing for one reason, and of all runs that may end early, without a warning
+MOST_USELESS = 0.5
+# fraction of the runs that may end early with a vehicle close without a warning, or that may end early without a note
+MOST_CLOSE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """Counts from a search's evaluations, on which its warnings are based."""
+    """The counts of evaluations on which a search's health warnings are based."""
 
     evaluated: int = 0  # scenarios that the algorithm requested
-    simulated: int = 0  # of these, the scenarios that were run; all other counts are of their runs
+    simulated: int = 0  # of these, the scenarios that were run; all other counts are about these runs
     invalid: int = 0  # runs in which an NPC touched another NPC or a fixed object, or the user's code failed
     errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which the user's code failed
     discarded: int = 0  # runs that the user's function rejected or skipped
     genes_started: int = 0  # genes that started, over all NPCs, in runs that no ADS error cut short
     genes_reached: int = 0  # of these, the genes whose target was reached
     valid: int = 0  # runs that were neither invalid nor discarded; the next three are among these
-    failing: int = 0  # runs that failed, or whose process ended
+    failing: int = 0  # runs that failed, or whose process died
     no_interaction: int = 0  # runs without an ADS error in which no NPC gave the ego a reason to react
     barely_moved: int = 0  # runs that passed although the ego barely moved
-    ended: Counter[str] = field(default_factory=Counter)  # runs that ended early and did not fail, by what ended them
+    ended: Counter[str] = field(default_factory=Counter)  # runs that ended early and did not fail, by reason
     at_once: int = 0  # of these, the runs that were not discarded and ended within the first second
-    close: int = 0  # of the early ends, those with a vehicle within two seconds of the ego
+    close: int = 0  # of the runs that ended early, those with a vehicle within two seconds of the ego
     gap: float = math.inf  # the smallest gap to another vehicle in runs that ended early [m]
 
     @classmethod
     def of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
         """Compute the counts from the simulated ``runs`` and the number of all ``evaluated`` scenarios."""
         invalid = [each for each in runs if each.outcome is Outcome.INVALID]
-        # The algorithm learns nothing from a run that ended its process, but such a run is an error of the ADS.
+        # The algorithm learns nothing from a run in which the process died, but such a run is an error of the ADS.
         valid = [
             each for each in runs if each.outcome in BROKEN or not (each.outcome is Outcome.INVALID or each.discarded)
         ]
@@ -439,12 +442,13 @@ class Health:
         if not self.close and runs <= MOST_CLOSE * self.simulated:
             return ""
         (most, _), *others = first = self.ended.most_common(3)
-        enders = " and ".join(f"{name} ({number})" for name, number in first) if others else most
+        named = [(f"because {'of ' * (name not in LEAVING.values())}{name}", number) for name, number in first]
+        enders = " and ".join(f"{why} ({number})" for why, number in named) if others else named[0][0]
         advice = 'Correct the cause, or let the runs continue with ends="duration" in a pafot.World.'
         if most in LEAVING.values():
             advice = "Check the units and axes of the world and of the ADS's actions."
         return (
-            f"{_percent(runs, self.simulated, 'run')} ended early without a collision, because of {enders}. "
+            f"{_percent(runs, self.simulated, 'run')} ended early without a collision, {enders}. "
             f"In {self.close} of them, a vehicle was within two seconds of the ego. The smallest gap to a vehicle "
             f"was {self.gap:.1f} m. {advice}"
         )
@@ -457,7 +461,7 @@ class Health:
     def warnings(self) -> list[str]:
         """Return a warning, with advice, for each sign that the search tested too little."""
         if self.simulated == 0:
-            return ["no scenario was simulated, so nothing was tested. Give the search more time, or more generations."]
+            return ["no scenario was simulated, so nothing was tested. Give the search more time or more generations."]
         found = []
         if self.errors:
             (most, count), *_ = self.errors.most_common(1)
@@ -470,7 +474,7 @@ class Health:
         if self.vacuous and not self._is_at_fault:
             found.append(
                 f"{_percent(self.simulated - self.valid + self.at_once, self.simulated, 'run')} tested nothing ("
-                f"{self.invalid} invalid, {self.discarded} rejected or skipped, {self.at_once} over within the first "
+                f"{self.invalid} invalid, {self.discarded} rejected or skipped, {self.at_once} ended within the first "
                 "second). Use fewer NPCs, reject fewer runs, or correct what ends the runs early."
             )
         touched = self.invalid - self.errors.total()

@@ -22,15 +22,15 @@ from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.references import referred_to
-from pytest_pafot.support.text import meant
+from pytest_pafot.support.text import suggest
 
 Fitness = Callable[[Trace], float]  # from a trace to a number; higher is worse for the ego
-# The fitness of invalid runs, in which NPCs touched, and the replacement of NaN. Such a run is never the best.
+# The fitness of invalid runs, in which NPCs touched, and the replacement for NaN. Such a run is never the best.
 WORST_RANK = -math.inf
 
 
 class FitnessError(ValueError):
-    """An error about a fitness that cannot be used, or that failed for a run."""
+    """An error about a fitness function that cannot be used or that failed for a run."""
 
 
 # The time to contact at which the risk is one half [s], a usual limit for critical encounters (van der Horst 1990).
@@ -38,9 +38,9 @@ TAU = 1.5
 
 
 def risks(trace: Trace) -> tuple[float, float, float, float]:
-    """Return the four risks in the default fitness, each from 0 to 1, for a valid run."""
+    """Return the four risks that the default fitness of a valid run combines, each from 0 to 1."""
     # The four measures of the paper, in forms that rise steadily towards a collision:
-    # - METTC ignores when the NPC gets to the crossing point, and is infinite at nearly every tick of a straight road.
+    # - METTC ignores when the NPC reaches the crossing point, and is infinite at nearly every tick on a straight road.
     #   The time until the boxes touch replaces it: 1 / (1 + TTC / tau).
     # - MD, the distance between the centres, is smallest for vehicles that drive harmlessly side by side. The gap
     #   between the boxes replaces it: 1 / (1 + gap / 1 m).
@@ -77,7 +77,7 @@ def paper(trace: Trace) -> float:
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
     # The paper has no bonus for a collision. The planned duration replaces an infinite METTC, and limits ET.
-    # np.minimum propagates NaN, min() would drop it.
+    # np.minimum propagates NaN, which min() would drop.
     mettc = float(np.minimum(criticality.mettc(trace), criticality.planned_duration(trace)))
     distance, safety = criticality.min_centre_distance(trace), criticality.min_safety_distance(trace)
     return _never_nan(-(mettc + distance + safety + _time_to_collision(trace)))
@@ -88,7 +88,7 @@ FAR = 130.0  # the largest distance, which also replaces an unknown one [m]
 CAR_LENGTH = 4.6  # subtracted from the distance between centres; NPCs closer than this along the road are ignored [m]
 NEAR = 20.0  # NPCs farther away along the road are ignored [m]
 BESIDE = 2.0  # NPCs farther away across the road are ignored [m]
-TURNING = math.radians(1.0)  # heading relative to the road above which the ego counts as changing lanes [rad]
+TURNING = math.radians(1.0)  # angle to the road above which the ego counts as changing lanes [rad]
 
 
 def braking_distance(speed: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ def braking_distance(speed: FloatArray) -> FloatArray:
 def av_fuzzer(trace: Trace) -> float:
     """Return AV-Fuzzer's fitness, which increases as the distances to NPCs and the room to brake decrease.
 
-    Source: Li et al., "AV-FUZZER", ISSRE 2020, with the numbers of the released code.
+    Source: Li et al., "AV-FUZZER", ISSRE 2020, with the constants of the released code.
     """
     # The fitness is (130 - min d / 2 - min delta / 2) / (NPCs - 1), with minima over all NPCs and samples. d is the
     # distance between the centres [m]. delta is d - 4.6 m, minus the braking distance of the vehicle behind.
@@ -141,11 +141,13 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
         **{measure.name: measure for measure in MEASURES if measure.worse != "neither"},
     }
 )
-"""Functions by the names that ``fitness=`` accepts. The name of a measure means its worst value in the run."""
+"""The fitness functions by the names that ``fitness=`` accepts. A measure's name means its worst value in the run."""
 
 
 def resolve(fitness: str | Fitness = "default") -> Fitness:
-    """Return a fitness function, which raises a :class:`FitnessError` if a user's function fails.
+    """Return the fitness function that ``fitness`` specifies.
+
+    The function raises a :class:`FitnessError` if it fails for a run.
 
     Args:
         fitness: a name, a measure, a function from a Trace to a number (higher is worse for the ego), or
@@ -164,7 +166,7 @@ def is_built_in(fitness: str | Fitness) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Steered:
-    """The fitness of a run, which a search maximises.
+    """A function that computes the fitness of a run, which a search maximises.
 
     If ``is_for_ego`` is True, the search looks for collisions for which the ego is responsible.
     """
@@ -187,7 +189,7 @@ class Steered:
 
 
 def before_impact(trace: Trace) -> Trace:
-    """Cut a run off 3 s before its collision, which turns it into a run without a collision.
+    """Return a run cut off 3 s before its collision, as a run without a collision.
 
     At least the first tick remains. A run without a collision is returned unchanged.
     """
@@ -234,7 +236,7 @@ class _Checked:
         if not isinstance(value, (Real, np.bool_)):
             raise FitnessError(
                 f"fitness: expected {_name(self.function)} to return a number, but it returned {value!r} for {trace!r}."
-                " Return a float that is higher if the run is worse for the ego."
+                " Return a float, which is higher the worse the run is for the ego."
             )
         return _never_nan(float(value))
 
@@ -249,13 +251,13 @@ def _function(fitness: object) -> Fitness:
         except ValueError as error:
             raise FitnessError(f"fitness: {error}") from error
     if isinstance(fitness, str):
-        hint = meant(fitness, FITNESSES)
+        hint = suggest(fitness, FITNESSES)
         raise FitnessError(f"fitness: expected {names} or a function of a Trace, but received {fitness!r}{hint}")
     if not callable(fitness):
         raise FitnessError(f"fitness: expected {names} or a function of a Trace, but received {fitness!r}")
     try:
         signature = inspect.signature(fitness)
-    except ValueError:  # builtins have no signature: the first call shows whether it fits
+    except ValueError:  # some builtins have no signature, so the first call shows whether the function fits
         return fitness
     try:
         signature.bind(None)

@@ -1,6 +1,6 @@
 """The operators of the genetic algorithm: crossover, mutation, tournament and elitism.
 
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024. Algorithms apply the rates.
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024. The algorithms decide how often to apply them.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _swap(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped]:
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
     kind, its_kind = a.vehicle_of(in_a), b.vehicle_of(in_b)
-    # If both NPCs cross in the same zone, their slot, speed and act are swapped one by one instead, at random.
+    # If both NPCs cross in the same zone, each of their slots, speeds and acts is swapped at random instead.
     if (children := one.mixed(other, rng)) is not None:
         first, second = children
         return (in_a, (first,), kind), (in_b, (second,), its_kind)
@@ -90,7 +90,7 @@ def _resolve_conflicts(scenario: Scenario, crossing: CrossingTraffic, rng: Gener
 
 
 def _mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    # A mutation that the space does not allow has the probability 0. Without any of them, no random number is used.
+    # A mutation that the space does not allow has the probability 0. If it allows none, no random number is used.
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     vehicles = VEHICLES if len(space.vehicles) > 1 else 0.0
@@ -191,8 +191,8 @@ def _fit_cell(
     held = {other[gene].cell for index, other in enumerate(chains) if index != npc and gene < len(other)}
     anticlockwise, clockwise = around[0].neighbours if around else new.cell.neighbours
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
-    # The first cell that fits is used: the new one, then the neighbours of the previous cell (of the next cell, for the
-    # first gene) in random order. The replaced cell always fits.
+    # The first cell that fits is used: the new cell, the neighbours of the previous cell in random order (for the first
+    # gene, of the next cell), or the replaced cell, which always fits.
     candidates = (new.cell, *neighbours, chain[gene].cell)
     cell = next(c for c in candidates if c not in held and all(is_adjacent(c, other) for other in around))
     return new.aimed(cell)
@@ -213,7 +213,7 @@ def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluatio
 
 
 def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, ...]:
-    """Return the best eligible fraction of a population, rounded up, best first (section 3.5)."""
+    """Return the eligible members among the best ``share`` of a population, best first (section 3.5)."""
     # 0.1 of 30 is 3. A floating-point error must not turn it into 4.
     count = math.ceil(round(share * len(population), 9))
     ranked = sorted(population, key=lambda evaluation: evaluation.rank, reverse=True)
@@ -221,7 +221,7 @@ def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, 
 
 
 def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
-    """Return the best of the evaluations, or None if none is eligible."""
+    """Return the best evaluation, or None if none is eligible."""
     best = max(evaluations, key=lambda evaluation: evaluation.rank, default=None)
     return best if best is not None and best.eligible else None
 
@@ -236,7 +236,7 @@ def breed(
 ) -> tuple[Scenario, Scenario]:
     """Return two children of a pair of scenarios."""
     a, b = pair
-    # A pair swaps NPCs with the crossover rate. Then each child mutates with the mutation rate.
+    # The pair swaps NPCs with the probability `crossover_rate`. Each child then mutates with `mutation_rate`.
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
         if (crossing := space.crossing_traffic) is not None:

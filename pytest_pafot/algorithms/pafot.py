@@ -30,14 +30,14 @@ from pytest_pafot.model.scenario import Scenario
 class PafotState:
     """The state of a PAFOT search."""
 
-    generation: int = 0  # of the main search, from 0; it advances after a generation and its local search
-    local_generation: int = 0  # 0 in the main search; in a local search from 1, the generation of the mutants
+    generation: int = 0  # generation of the main search, from 0; it advances after each generation's local search
+    local_generation: int = 0  # 0 in the main search; a local search starts at 1, the generation of the mutants
     population: tuple[Evaluation, ...] = ()  # population of the main search
     local_population: tuple[Evaluation, ...] = ()  # population of the current local search
     best: Evaluation | None = None  # the best since the last restart; None before the first eligible run
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
-    kept: tuple[Evaluation, ...] = ()  # evaluated members with which the next population starts
+    kept: tuple[Evaluation, ...] = ()  # evaluated members that the next population keeps
     fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
     asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
 
@@ -47,7 +47,7 @@ class PafotSearch:
     """The paper's search, with the parameters from the paper as defaults.
 
     Attributes:
-        space: space of the scenarios.
+        space: space from which scenarios are sampled.
         population: number of scenarios in a generation.
         crossover_rate: probability p_c that a pair of parents swaps two NPCs.
         mutation_rate: probability p_m that one instruction of a child is replaced.
@@ -130,7 +130,7 @@ class PafotSearch:
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
         while len(children) < self.population - len(kept):
-            # Parents are bred as executed, which includes the changes of the repair inside a run (section 2.1).
+            # Parents are bred as executed, including the repairs during their runs (section 2.1).
             driven = (parent.executed for parent in parents(population, rng))
             pair = breed(driven, self.space, crossover_rate, mutation_rate, rng)
             children += [child for child in pair if attempts <= 0 or known.recall(child) is None]

@@ -24,9 +24,9 @@ from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")
 
-# The value decides how it is written: a frozen dataclass as the list of its fields, a mapping as the list of its
-# pairs, a set as a sorted list, and a number that JSON cannot express as a string. The reader names the type, and
-# rejects everything else, because the file may be from an untrusted source.
+# The type of a value decides how it is written: a frozen dataclass as the list of its fields, a mapping as the list of
+# its pairs, a set as a sorted list, and a number that JSON cannot express as a string. The reader specifies the type,
+# and rejects everything else, because the file may be from an untrusted source.
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _PLAIN_ALREADY = Mapping[str, Any]
@@ -74,7 +74,7 @@ def from_plain(kind: type[T], data: Any) -> T:
     """Convert data from :func:`plain` back to a value of the type ``kind``.
 
     Raises:
-        FieldError: for data that does not fit the type, with its position, such as ``[2][0]``.
+        FieldError: for data that does not fit the type. The message contains its position, such as ``[2][0]``.
         TypeError: for a type that cannot be stored.
     """
     return cast("T", _read(kind, data))
@@ -104,7 +104,7 @@ def _read(kind: Any, data: Any) -> Any:
         except ScenarioError:
             raise  # it is a ValueError, but its message is better than the one below
         except (TypeError, ValueError):
-            raise _refuse("a scenario, a list of chains, seed, lane, speed and duration", data) from None
+            raise _refuse("a scenario as a list of chains, seed, lane, speed and duration", data) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         kind = Signature
     origin, inner = get_origin(kind), get_args(kind)
@@ -127,7 +127,7 @@ def _read(kind: Any, data: Any) -> Any:
         try:
             return kind.fromisoformat(data)
         except (TypeError, ValueError):
-            raise _refuse("a day, such as 2026-11-20", data) from None
+            raise _refuse("a date such as 2026-11-20", data) from None
     if kind == _PLAIN_ALREADY:
         if type(data) is not dict:
             raise _refuse("a mapping", data)

@@ -46,7 +46,7 @@ StateT = TypeVar("StateT", bound=SearchState)
 
 
 class Algorithm(Protocol[StateT]):
-    """A search algorithm: a value without internal state, which receives its random generator in each call.
+    """A search algorithm without internal state, which receives its state and random generator in each call.
 
     The class is called with a :class:`~pytest_pafot.algorithms.space.SearchSpace`. It can define the attributes of
     :class:`~pytest_pafot.algorithms.catalogue.AlgorithmClass`.
@@ -69,7 +69,7 @@ class Algorithm(Protocol[StateT]):
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of its scenarios, in the same order.
+        """Finish a generation. The evaluations are in the order of its scenarios.
 
         Raises:
             RuntimeError: if ``ask`` was not called before.
@@ -84,7 +84,7 @@ class GenerationState:
     generation: int = 0  # counted from 0
     local_generation: int = 0  # always 0, because there is no local search
     best: Evaluation | None = None  # None before the first eligible run
-    asked: tuple[Scenario, ...] | None = None  # scenarios being evaluated; None if the next call must be ask
+    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
     proposed: int = 0  # number of proposed scenarios so far
 
 
@@ -123,7 +123,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
-        asked = tuple(proposed)  # an iterator may sample the scenarios only now
+        asked = tuple(proposed)  # an iterator samples the scenarios only now
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def tell(
@@ -145,7 +145,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 def end_of_local_search(
     state: SearchState, incumbent: Evaluation, better: Evaluation | None
 ) -> tuple[AlgorithmEvent, ...]:
-    """Return the events at the end of a local search. ``better`` is its result if that beats the incumbent."""
+    """Return the events at the end of a local search. ``better`` is its result, or None if that is not better."""
     finished = LocalSearchFinished(
         generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
     )
@@ -164,7 +164,7 @@ def check_ask(asked: Sequence[object] | None) -> None:
 
 
 def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Evaluation]) -> None:
-    """Raise an error if evaluations do not match the requested scenarios one by one."""
+    """Raise an error if evaluations and requested scenarios do not correspond one to one."""
     if asked is None:
         raise RuntimeError(
             "tell: expected a state that ask returned, but received a state in which no scenarios were requested. "
@@ -174,7 +174,7 @@ def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Ev
 
 
 def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
-    """Raise a ValueError that starts with ``place`` if evaluations do not match scenarios one by one."""
+    """Raise a ValueError that starts with ``place`` if evaluations and scenarios do not correspond one to one."""
     if len(evaluations) != len(scenarios):
         raise ValueError(
             f"{place}: expected {len(scenarios)} evaluations, one per scenario, but received {len(evaluations)}. "
@@ -214,7 +214,7 @@ class Plan:
         generations: largest number of generations of the main search; None if ``runs`` is the limit.
         seed: seed of all random numbers.
         runs: largest number of simulated scenarios; None for no limit.
-        seeds_matter: True if the seed of a scenario can change its run although the chains are the same.
+        seeds_matter: True if the seed of a scenario can affect its run even if the chains stay the same.
 
     Raises:
         ValueError: for an argument out of range.
@@ -246,7 +246,7 @@ class Plan:
 
     def _begin(self) -> None:
         self._cache.forget()
-        self._told: list[tuple[Evaluation, bool]] = []  # with True if it is from an earlier run
+        self._told: list[tuple[Evaluation, bool]] = []  # each with True if an earlier run provided it
         self._asked: tuple[Scenario, ...] = ()
         if not self.is_over:
             # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.
@@ -289,7 +289,7 @@ class Plan:
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
         """Record the evaluation of the next scenario. ``reused`` is True if :meth:`recalled` returned it."""
         if evaluation.scenario is not self.scenario() and evaluation.scenario != self.scenario():
-            raise ValueError(f"expected the evaluation of {self.scenario()}, but received one of {evaluation.scenario}")
+            raise ValueError(f"expected an evaluation of {self.scenario()}, but received one of {evaluation.scenario}")
         event = Evaluated(
             generation=self._state.generation,
             local_generation=self._state.local_generation,
@@ -327,7 +327,7 @@ class Plan:
 
     def finished(self, reason: EndReason, seconds: float = 0.0) -> Iterator[Event]:
         sums = self.sums
-        # A generation that the limit of runs cut is reported, but the algorithm does not learn from it.
+        # A generation that the run limit cut short is reported, but the algorithm does not learn from it.
         if reason == "runs" and self._told:
             population, local = tuple(each for each, _ in self._told), self._state.local_generation
             yield GenerationFinished(

@@ -38,7 +38,7 @@ from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleT
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
-# A limit of a target speed: a factor of the ego's initial speed, and an offset [m/s]. The result is at most the speed
+# A limit on a target speed: a factor for the ego's initial speed, and an offset [m/s]. The result is at most the speed
 # limit.
 Bound = tuple[float, float]
 
@@ -62,7 +62,7 @@ class Pattern(NamedTuple):
 
 
 # No scenario starts in a dangerous state: NPCs start as in any scenario, and drive into a pattern. Patterns are defined
-# for the ego's left side, front or rear. All have the same probability.
+# for the ego's left side, front or rear. All patterns have the same probability.
 # Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
 # 2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
 PATTERNS = (
@@ -107,7 +107,7 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-# The steps of each pattern with left and right exchanged, by its name. Half of the samples have these.
+# The steps of each pattern, by its name, with left and right exchanged. Half of the samples use these steps.
 MIRRORED = {
     pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
     for pattern in PATTERNS
@@ -129,7 +129,7 @@ def chain_of_patterns(
 def followed_by_pattern(
     chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Append a random pattern to a chain, after steps on the ring to the pattern's first cell.
+    """Extend a chain by a random pattern, preceded by steps along the ring to the pattern's first cell.
 
     ``ego_speed`` is in m/s, and ``bounds`` limits the speeds in steps of 0.1 m/s.
     """
@@ -157,14 +157,14 @@ def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
     return [Cell((first - 1 + step) % 8 + 1) for step in steps]
 
 
-# Smallest number of genes of an NPC on a curved road, even in short runs: to approach, to cut in, and to brake.
+# Smallest number of genes of an NPC on a curved road, even in short runs: one each to approach, cut in and brake.
 LEAST_GENES = 3
 CROSSING = 0.75  # fraction of the NPCs whose path crosses or joins the ego's path, if the world has such paths
 CARS = (CAR,)  # the vehicles of a search in which all NPCs are cars
 OTHERS = 1 / 6  # fraction of the NPCs that are not cars, if NPCs can be other vehicles
-MOST_ON_GRID = 2  # largest number of other NPCs next to crossing ones: one ahead of the ego and one behind it
+MOST_ON_GRID = 2  # largest number of other NPCs if there are crossing ones: one ahead of the ego and one behind it
 
-# The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or one of the two.
+# The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or either.
 Instructions = Literal["cells", "lanes", "both"]
 # The probability that an NPC that does not cross has Lane-Instructions.
 LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
@@ -182,8 +182,8 @@ class SearchSpace:
         ego_lane: the ego's initial lane, counted from 0 at the left.
         ego_speed: initial speed of the ego and of all NPCs that do not cross [m/s].
         ego_lanes: lanes from which the ego's initial lane is sampled.
-        ego_speeds: lowest and highest initial speed to sample [m/s].
-        patterns: whether half of the scenarios and a third of the mutations have dangerous patterns.
+        ego_speeds: lowest and highest initial speed that can be sampled [m/s].
+        patterns: whether half of the scenarios and a third of the mutations use dangerous patterns.
         traffic: how the NPCs drive.
         most_npcs: largest number of NPCs for each of the ``ego_lanes``, if the number is sampled.
         least_npcs: smallest number of NPCs, if the number is sampled.
@@ -274,7 +274,7 @@ class SearchSpace:
         return others[int(rng.integers(len(others)))]
 
     def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
-        """Replace each vehicle that is too long for its path's bends with a car."""
+        """Replace each vehicle that is too long for the bends in its path with a car."""
         if not scenario.vehicles or self.crossings is None:
             return scenario
         vehicles = tuple(
@@ -317,19 +317,19 @@ class SearchSpace:
 
     @property
     def zones(self) -> tuple[str, ...]:
-        """The names of the zones in which NPCs cross, in the order of the ego's path."""
+        """The names of the zones in which NPCs cross, in order along the ego's path."""
         return () if self.crossings is None else tuple(zone.way for zone in self.crossings.zones)
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
-        """The distribution of the instructions of crossing NPCs, or None if no NPC crosses."""
+        """The distribution of instructions for crossing NPCs, or None if no NPC crosses."""
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
         return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
     def with_sampled_start(self, rng: Generator) -> SearchSpace:
-        """Return the space restricted to a sampled start and size of its scenarios."""
+        """Sample the start and the size of a scenario, and return the space restricted to them."""
         if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
             return self
         lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
@@ -341,17 +341,17 @@ class SearchSpace:
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
-        """Return the space with one initial lane, speed [m/s], number of NPCs, and number and duration [s] of genes."""
+        """Return the space with a fixed start (lane, speed [m/s]), number of NPCs, and genes (number, duration [s])."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 
     def most_on(self, lane: int) -> int:
-        """Return the largest number of NPCs if the ego starts in a lane."""
+        """Return the largest number of NPCs in a scenario in which the ego starts in ``lane``."""
         lanes = self.ego_lanes or (self.ego_lane,)
         return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
 
     def genes_of(self, seconds: float) -> int:
-        """Return the number of genes of a duration [s] that fill the total duration."""
+        """Return how many genes of a duration [s] fill the total duration."""
         if seconds == self.gene_seconds:
             return self.genes
         return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
@@ -380,7 +380,7 @@ def space_on(
     """
     wanted = dict(given)
     if start is not None:
-        # All genes together last as long as the longest run. There are at least three, of about ten seconds or less.
+        # All genes together last as long as the longest run. There are at least three, of at most about ten seconds.
         lane, speed, physics_hz = start
         wanted = {"ego_lane": lane, "ego_speed": speed, **given}
         if "genes" not in wanted:
@@ -398,7 +398,7 @@ def space_on(
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario."""
-    # Vehicles are sampled last, so that the random numbers before them are the same in a space with only cars.
+    # Vehicles are sampled last, so that the random numbers before them are the same as in a space with only cars.
     scenario = _sample_cars(space, rng)
     if not space.other_vehicles:
         return scenario
@@ -443,7 +443,7 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 
 
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
-    """Build a chain for each NPC from its cells and its speeds in steps of 0.1 m/s."""
+    """Build a chain for each NPC from its cells and its speeds, which are in units of 0.1 m/s."""
     return [
         [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
@@ -467,8 +467,8 @@ def repaired(
     """
     if vehicles is None:
         vehicles = start.vehicles if isinstance(start, Scenario) else ()
-    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair, and a
-    # search repairs every child.
+    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair. Speed
+    # matters here, because a search repairs every child.
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
     npcs = tuple(map(tuple, chains))

@@ -21,7 +21,7 @@ from pytest_pafot.model.trace import Trace
 # The manoeuvre of a vehicle shortly before an event, which distinguishes kinds of failures.
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
-# A lane change belongs to an event at most this time after it [s]. At motorway speed, a lane change takes about 2 s.
+# A lane change belongs to an event that follows within this time [s]. At motorway speed, a lane change takes about 2 s.
 WINDOW_SECONDS = 4.0
 
 # A vehicle keeps its lane if it moves sideways by at most this distance within WINDOW_SECONDS [m], half of the free
@@ -30,7 +30,7 @@ DISPLACEMENT = 1.0
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
-    """Return the manoeuvre of a vehicle (0: the ego, ``i + 1``: NPC ``i``) at a tick or shortly before it."""
+    """Return a vehicle's manoeuvre at a tick or shortly before it. Vehicle 0 is the ego, ``i + 1`` is NPC ``i``."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
     return "lane-change" if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT else "lane-keeping"
 
@@ -38,7 +38,7 @@ def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
 # The mistakes of an ego that entered a lane.
 LANE_CHANGES: tuple[Mistake, ...] = ("kept-no-distance", "moved-into-side", "moved-in-front")
 
-# The mistake depends on the side that the other vehicle came from, because a policy may look to one side only.
+# The mistake depends on the side that the other vehicle came from, because a policy may look to only one side.
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {
         "left": "did-not-give-way-left",
@@ -72,24 +72,24 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     if attribution.fault == "did-not-give-way":
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, tick = frame_of(trace), attribution.tick
-    # When the ego crossed the line, the other vehicle was ahead if the gap was above NEXT_TO, and behind if all of it
-    # was behind the ego.
+    # When the ego crossed the line, the other vehicle was ahead if the gap was above NEXT_TO. It was behind if it was
+    # completely behind the ego.
     ahead, both = frame.ahead[npc, tick], frame.half_lengths(npc)[tick]
     if ahead > both + NEXT_TO:
         return "kept-no-distance"
     return "moved-in-front" if ahead < -both else "moved-into-side"
 
 
-def attributed(trace: Trace) -> Attribution:
+def attribute_collision(trace: Trace) -> Attribution:
     """Return the verdict of :func:`rss_rule` on a run's collision, together with the ego's mistake."""
     found = rss_rule(trace)
     return found if found.fault is None else replace(found, mistake=mistake(trace, found))
 
 
-def decided(found: Attribution, seconds: float | None) -> Attribution:
-    """Return the verdict, as decided by a careful driver's latest takeover if the responsibility is contested.
+def decide_contested(found: Attribution, seconds: float | None) -> Attribution:
+    """Return the verdict. If it is contested, a careful driver's latest takeover decides it.
 
-    ``seconds`` is that takeover [s before the impact]; 0 if none avoids the collision, None if unknown.
+    ``seconds`` is the time of that takeover [s before the impact]; 0 if none avoids the collision, None if unknown.
     """
     if found.contested is None or seconds is None:
         return found

@@ -54,10 +54,10 @@ Mistake = Literal[
     "entered-taken-zone",
 ]
 
-# The time until a driver's brakes act, for a vehicle ahead (RSS) and for one that cuts in [s]. The second is 0.4 s to
-# perceive the risk, 0.75 s until the brakes act, and half of the time in which they build up (UN R157, annex 4,
-# appendix 3). The first is also the headway that a lane change must leave, and the time for which an earlier action
-# still counts.
+# The time until a driver's brakes act, for a vehicle ahead (RSS) and for one that cuts in [s]. The second consists of
+# 0.4 s to perceive the risk, 0.75 s until the brakes act, and half of the time in which braking builds up (UN R157,
+# annex 4, appendix 3). The first is also the headway that a lane change must leave, and the time for which an earlier
+# action still counts.
 DELAY, DELAY_AFTER_CUT_IN = 1.0, 1.4
 # The braking that the rules require of a driver [m/s^2] (UN R157, 5.2.5.2).
 HARDEST = 6.0
@@ -70,8 +70,8 @@ DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least
 GENTLY, AFTER = 3.0, 0.4
 # A vehicle moves towards another lane at this sideways speed or more [m/s]. A slower one only wanders.
 DRIFTING = 0.3
-# RECENT: a lane change counts until this long before the vehicles were in the same track [s]. SOON: an NPC that left
-# too little room shares the responsibility if the impact follows within this time [s].
+# RECENT: a lane change counts if the vehicle crossed the line at most this time before both were in the same track [s].
+# SOON: an NPC that left too little room shares the responsibility if the impact follows within this time [s].
 RECENT, SOON = 2.0, 6.0
 # BLOCKED: if an NPC cuts in with less headway than this [s] and brakes hard, an ego that slows down has one more
 # second. SLOWED: the loss of speed that counts as slowing down [m/s].
@@ -81,13 +81,13 @@ NEXT_TO = 2.0
 # Braking is hard above this deceleration [m/s^2] for at least this time [s]. A careful driver needs no more to keep the
 # distance.
 HARD, HARD_SECONDS = 4.0, 0.4
-# STANDING_SPEED: a vehicle is stationary up to this speed [m/s]. LONG: the time after which it has been stationary, or
-# has led in its new lane, for long [s].
+# STANDING_SPEED: a vehicle is stationary up to this speed [m/s]. LONG: the shortest stop that counts, and the time in a
+# new lane after which a vehicle has led for long enough [s].
 STANDING_SPEED, LONG = 0.1, 3.0
-# NEAR_SECONDS: a vehicle ahead is near below this time [s], at the closing speed or at the ego's own speed.
-# STANDSTILL_GAP: a smaller gap is always a reason to brake [m].
+# NEAR_SECONDS: a vehicle ahead is near if the ego would reach it in less than this time at the closing speed, or at the
+# ego's own speed [s]. STANDSTILL_GAP: a smaller gap is always a reason to brake [m].
 NEAR_SECONDS, STANDSTILL_GAP = 4.0, 5.0
-# An NPC behind a needlessly braking ego caused the danger itself if it accelerates by more than this [m/s].
+# An NPC behind an ego that brakes needlessly causes the danger itself if it accelerates by more than this [m/s].
 DROVE_ON = 1.0
 
 
@@ -132,7 +132,7 @@ def rss_rule(trace: Trace) -> Attribution:
     1. At a junction, a vehicle that did not give way is responsible.
     2. A vehicle that moves into another's path without leaving room is responsible.
     3. A follower is responsible if an ordinary response would have avoided the collision.
-    4. A vehicle that brakes or stops without a reason is responsible. So is a follower that could have avoided it.
+    4. A vehicle that brakes or stops without a reason is responsible. So is a follower that could avoid the collision.
     5. If the vehicles were side by side, the one that moved sideways is responsible.
 
     An ego that touches a fixed object is always responsible.
@@ -148,7 +148,7 @@ def rss_rule(trace: Trace) -> Attribution:
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     found = Conflict(trace, npc).verdict if zone is None else _where_ways_meet(trace, npc, zone)
-    # The rules excuse an ego that ran into an NPC if it had no time. Only a simulation can show that it had time.
+    # The rules excuse an ego that ran into an NPC without time to respond. Only a simulation shows whether it had time.
     is_contested = hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
     return Attribution(
         responsibility=found.responsibility,
@@ -192,7 +192,7 @@ def room_to_leave(follower: float, mover: float) -> float:
 
 
 class Conflict:
-    """The conflict between the ego (vehicle 0) and the NPC that the ego hit, in a lane or side by side."""
+    """The conflict between the ego (vehicle 0) and the NPC in the collision, in a lane or side by side."""
 
     def __init__(self, trace: Trace, npc: int) -> None:
         self._trace, self._npc, self._frame = trace, npc + 1, frame_of(trace)
@@ -262,7 +262,7 @@ class Conflict:
         if is_blocked and has_slowed:
             since = tick + round(DELAY * self._hz)
         if not self._could_avoid(0, since, DELAY_AFTER_CUT_IN):
-            # No response would have helped. But an ego that had time to brake and did not shares the responsibility.
+            # No response would have helped. But an ego that had time to brake, and did not, shares the responsibility.
             if gap > 0 and not has_slowed and self._end - tick >= DELAY_AFTER_CUT_IN * self._hz:
                 return moved._replace(responsibility="both")
             return moved
@@ -288,14 +288,14 @@ class Conflict:
 
     def _could_avoid(self, behind: int, first: int, delay: float, *, later: bool = True) -> bool:
         # Rule 3: would an ordinary response of the follower, at the first tick or, with `later`, at any tick after it,
-        # have avoided the impact? It drives as recorded, but no faster, until the delay is over [s]. Then it brakes at
-        # 6 m/s^2 while it is faster than the other vehicle, which drives as recorded.
+        # have avoided the impact? Until the delay [s] is over, the follower drives as recorded, but never speeds up.
+        # Then it brakes at 6 m/s^2 while it is faster than the other vehicle, which drives as recorded.
         own, other, end = self._frame.speed[behind], self._frame.speed[self._npc - behind], self._end
         starts = np.arange(first, end if later else min(first + 1, end))
         starts = starts[(self._ahead[starts] < 0) if behind else (self._ahead[starts] > 0)]
         if not starts.size:
             return False
-        # All responses are simulated together, one element each: speed, and the distance behind the recorded position.
+        # All responses are simulated together. Each has a speed, and a distance behind the recorded position.
         speed, back = np.full(len(starts), own[first]), np.zeros(len(starts))
         due, step = starts + round(delay * self._hz), HARDEST / self._hz
         for tick in range(first, end):
@@ -303,11 +303,11 @@ class Conflict:
             braked = np.where(speed > other[tick], np.maximum(speed - step, 0.0), speed)
             driven = np.where(tick < starts, own[tick + 1], np.minimum(speed, own[tick + 1]))
             speed = np.where(tick + 1 >= due, braked, driven)
-        # At the impact it must be further back than the distance that it still needs to lose its excess speed.
+        # At the impact, it must be farther back than the distance that it still needs to lose its excess speed.
         return bool((back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any())
 
     def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
-        # The first tick of each, and the tick after its last, relative to `first`.
+        # The first tick of each hard braking, and the first tick after it, relative to `first`.
         found = stretches(braking(self._trace, vehicle)[first : self._end + 1] > HARD)
         return [(begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz]
 
@@ -334,13 +334,13 @@ class Conflict:
             found.append((stopped, last_stretch(slows), "stopped-for-nothing"))
         ahead, behind = self._frame.speed[[0, self._npc]]
         for until, begin, fault in sorted(found, key=lambda each: each[0], reverse=True):
-            # It must last until shortly before the danger, in front of an NPC, and the ego must be slower at the end.
+            # It must last until shortly before the danger. The NPC must be behind, and the ego slower at the end.
             lasts = until == stopped or until >= self.danger - DELAY * hz
             lasts = lasts and self._ahead[begin] < 0 and ahead[end] < ahead[begin]
             # An NPC that accelerated afterwards caused the danger itself.
             since = max(until, self._before)
             if lasts and behind[end] <= behind[since : end + 1].min() + DROVE_ON:
-                # A reason counts from a second before the braking starts until it can be called hard.
+                # A reason counts from a second before the start of the braking until the braking counts as hard.
                 ticks = slice(max(begin - round(DELAY * hz), 0), min(begin + round(HARD_SECONDS * hz), end) + 1)
                 if not reasons(self._trace, ticks).any():
                     return begin, fault
@@ -384,8 +384,8 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
     return np.asarray(found)
 
 
-# Rule 1, right of way at junctions. Sources: Shalev-Shwartz, Shammah, Shashua, definitions 15 to 18, as ad-rss-lib has
-# them; Vienna Convention on Road Traffic, Art. 1 and 18.
+# Rule 1, right of way at junctions. Sources: Shalev-Shwartz, Shammah, Shashua, definitions 15 to 18, as implemented in
+# ad-rss-lib; Vienna Convention on Road Traffic, Art. 1 and 18.
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
@@ -461,8 +461,8 @@ class Passing:
         place, faster = other._foreseen(chance, entry / hz), max(float(other.speeds[chance]), 0.0)
         if other._foreseen(chance, leaves) < other.begins:
             return False
-        # Crossing: the other would have to brake harder than GENTLY. Merging: it is nearer than a lane change may be to
-        # a vehicle behind, or than the safe distance to a vehicle ahead.
+        # Crossing: the other vehicle would have to brake harder than GENTLY. Merging: behind, it is closer than a lane
+        # change permits; ahead, it is closer than the safe distance.
         if not self._merges:
             return other.begins - place < faster * DELAY + faster**2 / (2 * GENTLY) and place < other.ends
         lead = float((other.ends - place) - (self.ends - self.places[entry]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from itertools import pairwise
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.measures import last_stretch
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell
-from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace, named
+from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace, vehicle_name
 from pytest_pafot.support.text import capitalised, listed
 
 # What happened at the decisive tick: a vehicle moved into the other's lane, came too close, moved sideways into the
@@ -28,17 +29,17 @@ AT_FAULT: Mapping[str, str] = MappingProxyType(
 ALSO = "There was also a collision in this run."
 """The sentence before the headline of a collision, if the run failed for another reason."""
 STOOD = "stood still"
-# BRAKES: smallest deceleration that sentences call braking [m/s^2]. TOLD: they cover at least this time before the
-# impact [s]. PHASES: the largest number of phases of a vehicle's speed that they list, the last ones.
+# BRAKES: the smallest deceleration that sentences call braking [m/s^2]. TOLD: the sentences cover at least this time
+# before the impact [s]. PHASES: the sentences list at most this many phases of a vehicle's speed, the last ones.
 BRAKES, TOLD, PHASES = 0.5, 2.0, 3
-# LOST: a smaller change of speed is a twitch of a controller [m/s]. In 776 runs on straight roads, NPCs that kept lane
-# and speed never braked. In 700 runs on curved roads they lost either less than 0.16 m/s or, for a bend, more than 0.2
-# m/s. SAME: up to this change, a vehicle has kept its speed [m/s].
+# LOST: smaller changes of speed are ignored as control noise [m/s]. In 776 runs on straight roads, NPCs that kept their
+# lane and speed never braked. In 700 runs on curved roads, they lost either less than 0.16 m/s or, in a bend, more than
+# 0.2 m/s. SAME: up to this change, a vehicle counts as keeping its speed [m/s].
 LOST, SAME = 0.2, 0.05
 
 
 def responsible_sentence(responsibility: str, npc: int | None, takeover: float | None = None) -> str:
-    """Return the sentence about the responsible side and the latest takeover [s before the impact]."""
+    """Return a sentence about the responsible side, and one about the takeover [s before the impact] if it is known."""
     if npc is None:
         return "The ego is responsible, because a fixed object does not move."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}
@@ -73,7 +74,7 @@ def impact(
     if side == "rear" and way == "backwards":
         return f"the ego drove backwards into NPC {npc} {when}"
     if side == "rear":
-        return f"NPC {npc} hit the ego {'from behind' if way == 'along' else 'at its rear'} {when}"
+        return f"NPC {npc} hit the {'ego from behind' if way == 'along' else 'rear of the ego'} {when}"
     if whence and side is not None:
         crossing = f"NPC {npc}, which came {whence},"
         return f"the ego hit {crossing} {when}" if side == "front" else f"{crossing} hit the ego's {side} side {when}"
@@ -89,10 +90,10 @@ def sentences_on(
     trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
 ) -> tuple[str, ...]:
     """Return the sentences about a collision: the decisive event, then one each about the NPC and the ego."""
-    # First the decisive event, unless it is only that they came too close, which the other sentences show.
+    # The decisive event comes first. It is omitted if the vehicles only came too close, which the other sentences show.
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
-    (who, whom), at = (named(vehicle), named(other)), f"{tick / hz:.1f} s"
-    ahead, half = frame.ahead[npc], frame.half_lengths(npc)
+    (who, whom), at = (vehicle_name(vehicle), vehicle_name(other)), f"{tick / hz:.1f} s"
+    ahead, half, name = frame.ahead[npc], frame.half_lengths(npc), vehicle_name(npc + 1)
 
     def place(of: float, whom: str, tick: int) -> str:
         gap = abs(of) - float(half[tick])
@@ -108,34 +109,34 @@ def sentences_on(
         case "sideways":
             told = [f"{who} moved sideways at {at} into {whom}, which was next to it."]
         case "braked":
-            told = [f"{who} braked from {at} with nothing in its way."]
+            told = [f"{who} started to brake at {at} with nothing in its way."]
         case "stopped":
             stood = (end - int(np.flatnonzero(np.append(-1.0, trace.ego[:, SPEED])[: end + 2] > 0.1)[-1])) / hz
-            told = [f"{who} slowed to a stop from {at} with nothing in its way, and stood still for {stood:.1f} s."]
+            told = [f"{who} started to slow down at {at} with nothing in its way, and stood still for {stood:.1f} s."]
         case "entered":
             told = _entered(trace, npc, trace.zones[npc])
         case "elsewhere":
             told = [f"{who} touched {whom} at {at}, outside the zone where their paths cross."]
     since = max(min(tick, end - round(TOLD * hz)), 0)
-    # Then the NPC. Its position relative to the ego is omitted if the paths cross, if the first sentence has it, or if
-    # the NPC is not on the ego's path.
+    # Then the NPC. Its position relative to the ego is omitted if the paths cross, if the first sentence states it, or
+    # if the NPC is not on the ego's path.
     crosses = bool(trace.zones and trace.zones[npc])
     is_told = crosses or (happened, since) == ("moved", tick) or bool(np.isnan(ahead[since]))
     towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
-    # Its lane is named if it is not the ego's, and again if it left that lane.
+    # The NPC's lane is named if the ego was in another lane. The lane at the impact is named if the NPC changed lanes.
     then, last = (int(each) for each in trace.road.numbers(npc + 1)[[since, end]])
     in_lane = f"in lane {then}, " if then not in (-1, int(trace.road.numbers(0)[since])) else ""
     has_left = happened != "moved" and -1 not in (then, last) and then != last
     left = f", and was in lane {last} at the impact" if has_left else ""
     spot = f"{in_lane}{place(float(ahead[since]), 'the ego', since)}{towards}"
-    where = "" if is_told else f", {spot} at {since / hz:.1f} s,"
+    subject = name if is_told else f"at {since / hz:.1f} s, {name} was {spot}. It"
     # Only an NPC behind the ego could have braked for it.
     is_ahead = crosses or bool(ahead[since] > 0)
     deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
-    told.append(f"{named(npc + 1)}{where} {deed}{left}.")
-    # Then the ego. The distance to a vehicle ahead of it in its track shows how late it braked.
+    told.append(f"{subject} {deed}{left}.")
+    # Then the ego. The distance to a vehicle ahead in its track shows how late the ego braked.
     gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
-    told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, named(npc + 1))}.")
+    told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, name)}.")
     return tuple(capitalised(sentence) for sentence in told)
 
 
@@ -145,10 +146,10 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
     times = []
     for places, (begins, _) in ((trace.track_of(0)[:, ALONG], zone.ego), (trace.way_of(npc), zone.npc)):
         times.append(last_stretch(places >= begins) / trace.physics_hz)
-    where, whom = "merge" if zone.kind == "merging" else "crossing", named(npc + 1)
+    where, whom = "merge" if zone.kind == "merging" else "crossing", vehicle_name(npc + 1)
     holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
-    entered = f"the ego entered the {where} at {times[0]:.1f} s, and {whom} {zone.whence} at {times[1]:.1f} s"
-    return [f"{entered}. {holder} had priority."]
+    told = [f"entered the {where} at {times[0]:.1f} s", f"{whom} entered it {zone.whence} at {times[1]:.1f} s"]
+    return [f"the ego {', and '.join(told)}. {holder} had priority."]
 
 
 def _deed(
@@ -167,32 +168,35 @@ def _deed(
         change = float(part[end] - part[begin])
         if not abs(change) >= LOST:  # also if the change is NaN
             continue
-        # If it kept its speed at first, this is mentioned if it lasted long enough.
+        # A constant speed at the start of the phase is mentioned if it lasted long enough.
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin
-        when = f" from {(since + first) / hz:.1f} s" if first else ""
+        when, since_when = "", f"from {(since + first) / hz:.1f} s on " if first else ""
         told += [_kept(part[0])] if first and not told else []
         hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
         is_braking = change < 0 and hardest >= BRAKES
         if is_braking and gaps is not None:
-            when = f" at up to {hardest:.1f} m/s^2{when}"
+            when = f" at up to {hardest:.1f} m/s^2"
             if not has_braked and not np.isnan(gaps[since + first]):
-                when += f" ({gaps[since + first]:.1f} m behind {leader})"
+                gap = f"({gaps[since + first]:.1f} m behind {leader})"
+                when, since_when = (when, f"{since_when}{gap} ") if since_when else (f"{when} {gap}", "")
         has_braked |= is_braking
         how = "braked" if is_braking else "slowed" if change < 0 else "sped up"
-        told.append(f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{when}")
-    then = f"{since / hz:.1f} s" if gaps is not None or not is_told else ""
+        told.append(f"{since_when}{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{when}")
+    then = f" from {since / hz:.1f} s on" if since and (gaps is not None or not is_told) else ""
     if speeds[-1] < -SAME:
         return listed([*told[-PHASES:], f"drove backwards at {-speeds[-1]:.1f} m/s"])
     if not told and _kept(part[-1]) == STOOD:
-        return STOOD if is_ahead or not then else f"{STOOD} from {then}"
+        return STOOD if is_ahead else f"{STOOD}{then}"
     told = told[-PHASES:] or [_kept(part[-1])]
-    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then and f' after {then}'}"])])
+    # If the first phases are omitted, the time stands at the end.
+    told[0] = re.sub(r"^(from \S+ s on(?: \(.*?\))?) (.*)", r"\2 \1", told[0])
+    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then}"])])
 
 
 def _kept(speed: float) -> str:
-    return STOOD if speed < SAME else f"kept {speed:.1f} m/s"
+    return STOOD if speed < SAME else f"drove at {speed:.1f} m/s"
 
 
 def _turns(speeds: FloatArray) -> list[int]:

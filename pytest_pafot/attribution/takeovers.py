@@ -11,7 +11,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 # The name of the careful driver, who keeps the lane and the distance to vehicles ahead (UN R157, annex 4, appendix 3).
 CAREFUL = "careful-human"
 
-# The time between two takeovers that are tried, and the earliest one before the impact [s].
+# The time between two attempted takeovers, and the largest time from a takeover to the impact [s].
 STEP, WINDOW = 0.25, 3.0
 # This many takeovers in a row must avoid the collision, so that a single success by chance does not count.
 IN_SUCCESSION = 3
@@ -59,7 +59,7 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
 
 
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
-    """Return the run in which the careful driver takes over, or None if it does not start like the recorded run."""
+    """Return the run in which the careful driver takes over, or None if it starts differently from the recorded run."""
     tick = _tick(trace, seconds)
     # The run must not end before it is known that the driver touches no vehicle.
     taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
@@ -70,8 +70,10 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
 def sentence(seconds: float) -> str:
     """Return the sentence that states a result of :func:`latest`."""
     if not seconds:
-        return f"A careful driver who took over in the last {WINDOW:g} s could not reliably have avoided it."
-    return f"A careful driver who took over {seconds:g} s before the impact would have avoided it."
+        return (
+            f"A careful driver who took control in the last {WINDOW:g} s could not reliably have avoided the collision."
+        )
+    return f"A careful driver who took control {seconds:g} s before the impact would have avoided it."
 
 
 def _tick(trace: Trace, seconds: float) -> int:
@@ -87,7 +89,7 @@ def _until(trace: Trace) -> int:
 
 
 def _avoids(taken: Trace, trace: Trace) -> bool | None:
-    # None if the run ended too early. A third vehicle that hits the ego's rear is not the fault of the ego's driver.
+    # None if the run ended too early. If a third vehicle hits the ego's rear, the careful driver is not at fault.
     hit, then = taken.collision, trace.collision
     is_hit = hit is not None and hit.tick <= _until(trace)
     if hit is not None and is_hit and (then is None or hit.npc == then.npc or hit.side != "rear"):

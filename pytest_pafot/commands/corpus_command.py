@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
     of_folders = "search this folder and all folders below it (default: the current folder)"
     listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "accept the failures of saved scenarios, so that they are expected to fail until a given day"
+    about = "accept the failures of saved scenarios, which are then expected to fail until a given day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
     accepting.add_argument("ids", nargs="+", metavar="ID", help="accept the failure of this scenario (a file or an id)")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="give a reason, such as an issue number")
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
     added = added_in(arguments.folders)
     sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios found"]
+    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios were found"]
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
 
@@ -104,7 +104,7 @@ def _accept(name: str, reason: str, until: date) -> int:
     except OSError as error:
         fix = way_out(error, "then run the command again")
         sys.stderr.write(
-            f"corpus: {visible(name)}: expected a writable file, received {error.strerror or error}; {fix}\n"
+            f"corpus: {visible(name)}: expected a writable file, received {error.strerror or error}. {fix}\n"
         )
         return 1
     except (CorpusError, ValueError) as error:

@@ -12,7 +12,7 @@ from typing import Any
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.process import cores
 from pytest_pafot.support.references import PLANNER, factory_named
-from pytest_pafot.support.text import meant
+from pytest_pafot.support.text import suggest
 
 # The exit code for wrong arguments, as in argparse.
 BAD_USE = 2
@@ -48,7 +48,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
         others = ("conftest", "defects")  # no policies; the factory of `defects` needs an argument
         policies = [name for name in names if name not in others and not name.startswith("test_")]
         if reference not in names:
-            hint = meant(reference, policies)
+            hint = suggest(reference, policies)
             raise RequestError(
                 f"{option}: expected one of {', '.join(policies)}, or module:factory for your own policy, "
                 f"received {reference!r}{hint}"
@@ -61,7 +61,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
 
 def whole_name(reference: str) -> str:
     """Return ``module:factory[:argument]`` for a name that :func:`ads_factory` accepts."""
-    # An example policy is the one in the clone in which the command runs, or else the installed one.
+    # Example policies come from the clone in which the command runs, or else from the installed package.
     reference = reference.removesuffix(PLANNER)
     name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
     return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world, worker_count
-from pytest_pafot.commands.tasks import finished
+from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
@@ -26,7 +26,7 @@ from pytest_pafot.world.engines.episode import Episode, drive_episode
 SHOWN = 10
 # The number of episodes that a process runs at a time. A policy is rejected if it fails in all episodes of the first
 # chunk.
-CHUNK = 10
+CHUNK = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +77,12 @@ def _shown(seeds: Sequence[int]) -> str:
     return ", ".join(map(str, seeds[:SHOWN])) + more
 
 
-def compared(first: Rate, others: Sequence[Rate]) -> list[str]:
+def compare_rates(first: Rate, others: Sequence[Rate]) -> list[str]:
     """Compare a policy with each of the others by McNemar's test, on the seeds that both completed."""
     counts = []
     for other in others:
-        seeds = {each.seed for each in first.episodes} - first.failed.keys() - other.failed.keys()
+        seeds = {each.seed for each in first.episodes} & {each.seed for each in other.episodes}
+        seeds -= first.failed.keys() | other.failed.keys()
         one, two = seeds & {*first.crashed}, seeds & {*other.crashed}
         counts.append((len(one - two), len(two - one), len(one & two), len(seeds - one - two)))
     # Holm's method adjusts the p-values of several comparisons.
@@ -127,7 +128,8 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
         place = "".join(errors[0].traceback.rpartition("  File ")[1:]).rstrip()
         raise RequestError(
             f"{name}: expected a policy that drives, received one with an error in each of the first {CHUNK} episodes, "
-            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect the policy, its factory or environment."
+            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect the policy, its factory or environment"
+            f"{'.' if is_planner else ', or append @planner to its name if it is a planner.'}"
         )
     return episodes
 
@@ -140,10 +142,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_against = "also drive with this policy, on the same seeds; you can repeat this option"
     parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
     add_world_arguments(parser, "it must be an environment", is_needed=True)
-    of_episodes = "run N episodes (default: %(default)s)"
-    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
-    of_seed = "start with the seed N (default: %(default)s)"
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="run N episodes (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="start with the seed N (default: %(default)s)")
     parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
     parser.add_argument(
         "--fail-above",
@@ -154,31 +154,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(given: argparse.Namespace, command: Sequence[str]) -> int:
-    """Measure crash rates, and return 1 if a policy completed too few episodes or its rate exceeds ``--fail-above``."""
+    """Measure crash rates, and return 1 if a policy completed too few episodes or its rate exceeds ``--fail-above``.
+
+    Raises:
+        KeyboardInterrupt: if the user interrupts the command, after the results of the completed episodes are printed.
+    """
     for name, least in (("episodes", 1), ("seed", 0)):
         if (value := getattr(given, name)) < least:
             raise RequestError(f"--{name}: expected a whole number, at least {least}, received {value}")
     names = (given.ads, *given.against)
     if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
         raise RequestError(f"--against: expected each policy only once, received {twice!r} again")
-    limit, found, told = _limit_of(given), dict[str, list[Episode]](), time.monotonic()
+    limit, found = _limit_of(given), {name: list[Episode]() for name in names}
     environment_of(given)  # errors in the options must come before the first episode
     tasks = [(name, seed) for seed in range(given.seed, given.seed + given.episodes, CHUNK) for name in names]
-    for (name, _), episodes in finished(partial(drive_task, given), tasks, worker_count(given.workers)):
-        found.setdefault(name, []).extend(episodes)
-        done, total = sum(map(len, found.values())), given.episodes * len(names)
-        if done == total or time.monotonic() - told > 10.0:  # a report every ten seconds
-            told = time.monotonic()
-            sys.stderr.write(f"rate: {done} of {total} episodes\n")
+    started = told = time.monotonic()
+    done, total, interrupt = 0, given.episodes * len(names), None
+    try:
+        for (name, _), episodes in run_tasks(partial(drive_task, given), tasks, worker_count(given.workers)):
+            found[name] += episodes
+            done, now = done + len(episodes), time.monotonic()
+            if done == total or now - told > 10.0:  # a report every ten seconds
+                told, left = now, (now - started) * (total - done) / done
+                about = f", about {left / 60:.0f} min left (Ctrl-C ends early)" if left >= 60.0 else ""
+                sys.stderr.write(f"rate: {done} of {total} episodes{about}\n")
+    except KeyboardInterrupt as interrupted:
+        if not done:
+            raise
+        interrupt = interrupted  # report the completed episodes
     rates = [Rate(name, tuple(sorted(found[name], key=lambda each: each.seed))) for name in names]
     lines = []
     for rate in rates:
         first, *others = rate.lines
         hint = Policy(ads_factory(rate.ads)).loading_hint
         lines += [f"{rate.ads} in {given.world}: {first}", *others, *([f"  {hint}"] if hint else [])]
-    lines += compared(rates[0], rates[1:])
+    lines += compare_rates(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
     sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width)))
+    if interrupt is not None:
+        sys.stdout.flush()
+        raise interrupt
     objections = [*_objections(rates, limit)]
     sys.stderr.write("".join(f"rate: {visible(each)}\n" for each in objections))
     return int(bool(objections))

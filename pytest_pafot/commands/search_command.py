@@ -85,8 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "draw the scenarios with this seed (default: 0)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
-    of_blame = "count these collisions as failures. any: all of them; ego: all except those for which only an NPC is "
-    of_blame += "at fault (default: %(default)s)"
+    of_blame = "count these collisions as failures: all (any), or all except those for which only an NPC is at "
+    of_blame += "fault (ego) (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = "count only failures in scenarios that this second policy passes: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
@@ -101,7 +101,7 @@ def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, cod
     """Declare the arguments that ``search`` and ``replay`` share. ``codes`` explains the exit codes."""
     of_check = "assert your requirements on each run with this function (default: no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    of_report = f"write the findings to this web page (default: {page or 'none'})"
+    of_report = f"write the findings to this HTML file (default: {page or 'none'})"
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=page, help=of_report
     )
@@ -197,7 +197,7 @@ def _write_test(text: str, found: Mapping[Path, Path]) -> int:
     except OSError as error:
         raise RequestError(
             f"--write-test: expected a writable folder, received {here}: "
-            f"{error.strerror or error}; {way_out(error, f'or {elsewhere}')}"
+            f"{error.strerror or error}. {way_out(error, f'or {elsewhere}')}"
         ) from None
     names = [TEST, *(str(each.relative_to(here)) for each in found.values())]
     sys.stdout.write("".join(f"{ascii_text(name)}\n" for name in names))

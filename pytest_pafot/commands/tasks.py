@@ -14,7 +14,9 @@ TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
 
-def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: int) -> Iterator[tuple[TaskT, ResultT]]:
+def run_tasks(
+    work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: int
+) -> Iterator[tuple[TaskT, ResultT]]:
     """Run tasks, and yield each task with its result as soon as it is finished.
 
     Raises:
@@ -39,7 +41,7 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
                 ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(
                     f"expected a worker to finish the task {task!r}, but {ended}. Did the policy end its process? If "
-                    "the memory ran out, use fewer --workers"
+                    "it ran out of memory, use fewer processes with --workers"
                 )
             if isinstance(answer, Exception):
                 raise answer

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pytest_pafot.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.commands.policy_reference import add_world_arguments, worker_count
-from pytest_pafot.commands.tasks import finished
+from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.comparison.plan import COLUMNS, DIFFERENT, Plan, Row, run_rows
 from pytest_pafot.searches.request import BLAMES
 from pytest_pafot.support.errors import RequestError, install
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         folder.mkdir(parents=True, exist_ok=True)
     # If the command is stopped or a run ends in an error, the rows of the finished runs are written, too.
     try:
-        for task, found in finished(partial(run_rows, plan), plan.tasks, workers):
+        for task, found in run_tasks(partial(run_rows, plan), plan.tasks, workers):
             rows[task] = found
             sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
     finally:
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     # pandas, scipy and matplotlib are imported only now, because they take seconds.
     from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
 
-    measured = run_measures.Results.of(plan, path)
+    measured = run_measures.Results.read(plan, path)
     with written_into(folder):
         titles = figures.draw_all(measured, folder / "figures")
         write_whole(folder / "runs.csv", measured.runs.to_csv(index=False, lineterminator="\n"))

@@ -69,9 +69,9 @@ def _head(results: Results, command: Sequence[str]) -> str:
 {shlex.join(command)}
 ```
 
-{plan.runs} runs of each algorithm, {plan.seconds:g} simulated seconds each, base seed {plan.seed}. All numbers are for
-the same simulated time: only scenarios that end in the first {results.horizon:.0f} s count, because the shortest run
-is that long. Failures in the search are {HITS[plan.blame]}, and exceptions and hangs of the ADS.
+Each algorithm has {plan.runs} runs of {plan.seconds:g} simulated seconds. The base seed is {plan.seed}. All numbers are
+for the same simulated time: only scenarios that end in the first {results.horizon:.0f} s count, because the shortest
+run is that long. The search counts as failures {HITS[plan.blame]}, and exceptions and hangs of the ADS.
 {packages}.
 
 World: `{json.dumps(described(plan.made_world()))}`.
@@ -131,7 +131,7 @@ def _collisions(results: Results) -> str:
     return f"""
 ## All collisions
 
-A scenario that repeats an earlier one of the same search is not simulated, and not *unique*. The simulated time per
+A scenario that repeats an earlier one of the same search is not simulated, nor is it *unique*. The simulated time per
 collision is the total simulated time divided by the number of unique collisions. Responsibility is determined by RSS.
 
 {markdown_table(header, rows)}
@@ -155,9 +155,9 @@ def _statistics(tests: Sequence[Comparison]) -> str:
 ## Statistics
 
 Each run is one sample. A12 is the probability that the value of the first algorithm is greater, where ties count half
-(Vargha-Delaney, with Newcombe's interval). 0.56, 0.64 and 0.71 are called a small, medium and large effect, and so are
-0.44, 0.36 and 0.29. All tests are two-sided. The last p is adjusted for all tests of this table. Fisher's test shows
-counts of runs instead of medians, and the log-rank test shows Kaplan-Meier medians.
+(Vargha-Delaney, with Newcombe's interval). Values of 0.56, 0.64 and 0.71 are called small, medium and large effects,
+as are 0.44, 0.36 and 0.29. All tests are two-sided. The last p is adjusted for all tests of this table. Fisher's test
+shows counts of runs instead of medians, and the log-rank test shows Kaplan-Meier medians.
 
 {markdown_table(header, rows)}
 """

@@ -42,7 +42,7 @@ Row = Mapping[str, Any]
 
 def never_collides(blame: str, run: Run) -> None:
     """Assert that there is no collision. This is the test function of a comparison."""
-    # Unless the blame is `any`, a collision for which neither vehicle is responsible is no failure.
+    # Unless the blame is `any`, a collision for which neither vehicle is responsible is not a failure.
     if blame == "any" or run.responsibility is not None:
         require(not run.collision, "not run.collision", lambda: "assert not run.collision")
 
@@ -55,7 +55,7 @@ class Entrant(NamedTuple):
     is_papers: bool = False  # whether it has the paper's scenarios instead of the scenarios of a test
 
     @classmethod
-    def of(cls, given: str) -> Entrant:
+    def parse(cls, given: str) -> Entrant:
         """Make an entrant from a name or ``module:Class``, optionally followed by ``@paper`` or by ``@`` and seconds.
 
         Raises:
@@ -87,7 +87,7 @@ class Plan:
     """The arguments of a comparison, which determine the result of every run of every algorithm."""
 
     ads: str  # the policy: the name of a module of example_ads, `module:factory` or `module:factory:argument`
-    algorithms: tuple[str, ...]  # names or `module:Class`, see `Entrant.of`
+    algorithms: tuple[str, ...]  # names or `module:Class`, see `Entrant.parse`
     runs: int = 10  # number of runs of each algorithm
     seconds: float = 3600.0  # simulated time of a run, after which no scenario starts [s]
     seed: int = 0  # the base seed, from which the seeds of all runs are derived
@@ -106,7 +106,7 @@ class Plan:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the algorithms in files, tables and figures."""
-        return tuple(Entrant.of(each).name for each in self.algorithms)
+        return tuple(Entrant.parse(each).name for each in self.algorithms)
 
     def made_world(self) -> BaseWorld:
         """Return the world for all algorithms that have no duration of their own.
@@ -144,14 +144,14 @@ class Plan:
                 "the duration in the factory of the world instead."
             )
         world = replace(own, duration=seconds)
-        # All genes are equally long, in whole ticks, and not longer than the genes of the plan. If durations are
-        # sampled, this does not change.
+        # All genes are equally long, in whole ticks, and not longer than the genes of the plan. Sampled
+        # durations stay as they are.
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
 
     def _entrant(self, name: str) -> Entrant:
-        return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+        return Entrant.parse(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
 
     @property
     def scenarios(self) -> dict[str, list[str]]:

@@ -38,8 +38,8 @@ class Results:
     runs: pd.DataFrame  # measures of the runs
 
     @classmethod
-    def of(cls, plan: Plan, path: Path) -> Results:
-        """Read the results of a comparison from a file with a row per scenario, and measure its runs."""
+    def read(cls, plan: Plan, path: Path) -> Results:
+        """Read the results of a comparison from a file with one row per scenario, and measure all runs."""
         frame = read_rows(path)
         end = horizon(frame)
         return cls(plan=plan, frame=frame[~frame["reused"] & (frame["clock"] <= end)], horizon=end,

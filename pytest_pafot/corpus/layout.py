@@ -42,7 +42,7 @@ def files_in(folder: Path) -> list[Path]:
 
 
 def is_misnamed(name: str) -> bool:
-    """Return whether a YAML file does not have the suffix of a corpus file."""
+    """Return whether a YAML file lacks the suffix of a corpus file."""
     return name.lower().endswith((".yaml", ".yml")) and not name.endswith(SUFFIX)
 
 
@@ -80,9 +80,9 @@ def unlisted_below(root: Path) -> dict[Path, str]:
     for _ in os.walk(root, onerror=errors.append):
         pass
     # The root itself may be a file: on Windows, git writes a link as a file.
-    fix = "make it readable for this user, restore it, or move it away"
+    fix = "Make it readable for this user, restore it, or move it away"
     return {
-        Path(error.filename): f"expected a folder that can be listed, received {error.strerror}; {fix}"
+        Path(error.filename): f"expected a folder that can be listed, received {error.strerror}. {fix}"
         for error in errors
         if os.path.lexists(error.filename)
     }

@@ -68,7 +68,7 @@ _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
 """The start of a saved scenario, which distinguishes a faulty file from an unrelated one."""
-NOT_SHOWN = "content that is not printed, because the file does not start like a saved scenario"
+NOT_SHOWN = "other content. The content is not shown, because the file does not start like a saved scenario"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
@@ -438,7 +438,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     reason, until = _optional(fields, "xfail", _xfail, (None, None))
     return Finding(
         id=name,
-        test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
+        test=fields["test"].some_text("write the node id of the test, such as tests/test_safety.py::test_it"),
         world=_world(fields["world"]),
         scenario=scenario,
         expect=_expect(fields["expect"], npc),

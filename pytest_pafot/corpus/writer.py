@@ -50,7 +50,7 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
         return True
     except OSError as error:
         fix = way_out(error, f"or choose another folder with {flag('corpus')}")
-        raise CorpusWriteError(path, "to save a finding", f"the error '{error.strerror or error}'", fix) from error
+        raise CorpusWriteError(path, "a file for the finding", f"the error '{error.strerror or error}'", fix) from error
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -137,7 +137,7 @@ def _known(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value not in (None, "")}
 
 
-def named(scenario: Scenario) -> dict[str, Any]:
+def scenario_data(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as JSON-compatible data with a name for each value."""
     fields: dict[str, Any] = {"seed": scenario.seed, "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed}}
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
@@ -150,7 +150,7 @@ def named(scenario: Scenario) -> dict[str, Any]:
 
 
 def _scenario_lines(scenario: Scenario) -> Iterator[str]:
-    fields = named(scenario)
+    fields = scenario_data(scenario)
     npcs = fields.pop("npcs")
     yield "scenario:"
     for name, value in fields.items():

@@ -210,7 +210,7 @@ def _corners_to_box(
     u: FloatArray, v: FloatArray, cos: FloatArray, sin: FloatArray, box: Boxes, other: Boxes
 ) -> FloatArray:
     # The result is the squared distance from the nearest corner of `other` to `box` [m^2].
-    # (u, v) is the centre of `other`, and cos and sin are of its heading, all in the frame of `box`.
+    # (u, v) is the centre of `other`, and cos and sin belong to its heading. Both are in the frame of `box`.
     length_u, length_v = other.half_length * cos, other.half_length * sin
     width_u, width_v = -other.half_width * sin, other.half_width * cos
     nearest: FloatArray = np.full(u.shape, np.inf)
@@ -227,8 +227,8 @@ MANOEUVRE_SECONDS = 3.0
 # True if one compiled pass over a run computes the extremes. Otherwise, numpy's arrays compute the same values.
 _SWEEPS = sweep.is_in_use()
 
-# The sine of the angle between two headings below which they count as parallel [1]. Such lines cross far away from any
-# road, or only because of rounding.
+# Two headings count as parallel if the sine of the angle between them is below this [1]. Such lines cross far away from
+# any road, or only because of rounding.
 _PARALLEL = 1e-9
 
 

@@ -52,7 +52,7 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return each NPC's passage of the zone where its path crosses the ego's path, or None for an NPC that has none."""
+    """Return, for each NPC, the passage through the zone where its path crosses the ego's, or None without a zone."""
     # A user's world may record zones without the positions of the vehicles on their paths.
     zones = trace.zones if _has_positions(trace) else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
@@ -61,7 +61,7 @@ def passages(trace: Trace) -> tuple[Passage | None, ...]:
 def time_advantage(trace: Trace) -> FloatArray:
     """Return the post-encroachment time [s] that would result if the ego and the NPC kept their speeds.
 
-    It is infinite if either would never arrive, or if the NPC does not cross the ego's path.
+    It is infinite if either would never reach the zone, or if the NPC does not cross the ego's path.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -80,20 +80,6 @@ def time_advantage(trace: Trace) -> FloatArray:
         is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
         advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
     return advantage
-
-
-def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]:
-    """Return the times [s] at which the ego and an NPC were expected to enter and leave their zone."""
-    # The times of the ego follow from its speed at the tick, and the times of the NPC from the run. If the run ended
-    # before the NPC entered or left the zone, the time follows from its last speed.
-    zone: Any = trace.zones[npc]
-    hz = trace.physics_hz
-    ego_enters, ego_leaves, enters, leaves = (
-        at / hz + float(_seconds_to(place, along, trace.states[:, vehicle, SPEED], hz)[at])
-        for at, (vehicle, along, stretch) in zip((tick, trace.ticks), _paths_to_zone(trace, npc, zone), strict=True)
-        for place in stretch
-    )
-    return (ego_enters, ego_leaves), (enters, leaves)
 
 
 def _has_positions(trace: Trace) -> bool:
@@ -138,73 +124,13 @@ def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -
     return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)
 
 
-SLOT = 0.3  # tolerance of a slot [s]
-# An NPC adapts to the ego's arrival until this time before it enters its zone [s]. To do so, it slows down to no less
-# than this fraction of its planned speed. Both numbers are as in world/kernel/crossing.py.
-ADAPTING_UNTIL, WAITING = 3.0, 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class SlotRequest:
-    """The slot that a scenario requested for a crossing NPC."""
-
-    npc: int  # index of the NPC
-    what: str  # "slot", or "zone" if the NPC did not reach its zone; then both times are NaN
-    asked: float = math.nan  # the requested slot [s]
-    was: float = math.nan  # the slot in the run [s]
-
-    @property
-    def is_met(self) -> bool:
-        return abs(self.was - self.asked) <= SLOT
-
-    @property
-    def description(self) -> str:
-        if self.what == "zone":
-            return "the NPC did not reach its zone"
-        return f"slot requested: {self.asked:g} s, actual: {self.was:.1f} s"
-
-
-def slot_requests(trace: Trace) -> tuple[SlotRequest, ...]:
-    """Return the slots that a scenario requested for its crossing NPCs."""
-    found: list[SlotRequest] = []
-    for npc, instruction in enumerate(trace.scenario.crossings):
-        if instruction is not None and instruction.act == "pass":
-            found += _evaluate_slot(trace, npc, instruction.slot)
-    return tuple(found)
-
-
-def _evaluate_slot(trace: Trace, npc: int, slot: float) -> Iterator[SlotRequest]:
-    # Yields the slot of an NPC, or nothing if the reaction of the ego leaves no slot to evaluate.
-    passage = passages(trace)[npc]
-    if passage is None:
-        return
-    if passage.npc_enters == math.inf:
-        is_broken_off = trace.collision is not None or trace.error is not None or trace.off_road_tick == trace.ticks
-        if not is_broken_off:
-            yield SlotRequest(npc, "zone")
-        return
-    # The slot follows from the ego's speed when the NPC stopped adapting. There is none if the ego waited for the NPC,
-    # which cannot become slow enough to pass later, or if the ego slowed down in the zone, so that the NPC waited.
-    until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0)
-    if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
-        return
-    (ego_enters, ego_leaves), (enters, leaves) = times_expected(trace, npc, until)
-    was = enters - ego_leaves if slot > 0 else leaves - ego_enters
-    if slot == 0:
-        was = (enters + leaves - ego_enters - ego_leaves) / 2
-    has_left = passage.ego_leaves < math.inf  # otherwise, it would have left at its last speed
-    left = passage.ego_leaves if has_left else times_expected(trace, npc, trace.ticks)[0][1]
-    if was - slot <= SLOT or left <= ego_leaves + SLOT:
-        yield SlotRequest(npc, "slot", slot, was)
-
-
-# Which values of a measure are worse for the ego: low values, high values, values far from 0, or neither.
+# The values of a measure that are worse for the ego: low values, high values, values far from 0, or no values.
 Worse = Literal["low", "high", "both", "neither"]
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure of the ego or of each NPC at each tick of a run, which can be called as a fitness function."""
+    """A measure of the ego, or of each NPC, at every tick of a run. It is also a fitness function of the run."""
 
     name: str  # such as `ego.jerk`, or `npcs.ttc` for each NPC
     unit: str  # such as `m/s^3`; empty for a number
@@ -320,7 +246,7 @@ def _right(trace: Trace) -> FloatArray:
 
 
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
-_TURNING = "speed times turning rate since the previous tick, positive to the right"
+_TURNING = "speed times the mean turning rate since the previous tick, positive to the right"
 _JERK = "change of the acceleration since the previous tick, per second"
 _LANE = "index of the lane that contains the centre, from 0 at the left of a straight road; -1 off the road"
 _ROAD = "along the road, between the centres"
@@ -363,7 +289,7 @@ class Signals:
         self.trace = trace
         self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
-    def of(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
+    def values_of(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
         """Return the read-only values of a function of the trace, one per tick.
 
         Args:
@@ -380,7 +306,7 @@ class Signals:
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
                     f"signal {_name_of(function)}: expected an array of shape ({rows},), with one value per tick, or "
-                    f"({npcs}, {rows}), with one per NPC and tick, but received the shape {values.shape}"
+                    f"({npcs}, {rows}), with one per NPC and tick, but received one of shape {values.shape}"
                 )
             values.flags.writeable = False
             self._values[function] = values
@@ -398,9 +324,9 @@ class Signals:
             vehicle, _, name = measure.name.partition(".")
             if vehicle == "npcs":
                 for npc in crossing if name == "time_advantage" else npcs:
-                    yield f"npcs[{npc}].{name}", self.of(measure.function, npc)
+                    yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
             else:
-                yield measure.name, self.of(measure.function)
+                yield measure.name, self.values_of(measure.function)
 
     @property
     def ego(self) -> EgoSignals:
@@ -432,7 +358,7 @@ class _Vehicle:
             measure = BY_NAME.get(self._of + name)
             if measure is None or name.startswith("_"):
                 raise AttributeError(f"{self._of}{name}: expected one of {', '.join(dir(self))}")
-            return self._signals.of(measure.function, self._npc)
+            return self._signals.values_of(measure.function, self._npc)
 
 
 class EgoSignals(_Vehicle):

@@ -1,6 +1,6 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
 # Cython's checks are off, because no index exceeds the shapes that `extremes` checks, and no divisor is zero.
-"""A single pass over the ticks of a run that computes the three extremes for the default fitness."""
+"""A function that computes the three extremes for the default fitness in a single pass over a run's ticks."""
 
 # The values equal those of numpy's arrays in criticality/measures.py to the last bit, because the pass performs the
 # same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass takes

@@ -30,7 +30,7 @@ MAX_BYTES = 1 << 20
 
 def records_of(root: Path) -> Path:
     """Return the folder for the crash records of a project, whether it exists or not."""
-    # It is not in the project, because a repository could contain records. Other users cannot write into it. On
+    # The folder is not in the project, because a repository could contain records. Other users cannot write to it. On
     # Windows, each user has their own folder for temporary files.
     own = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
     name = hashlib.blake2b(os.fsencode(os.path.realpath(root)), digest_size=8).hexdigest()
@@ -46,12 +46,12 @@ class CrashRecordError(Exception):
     def __init__(self, folder: Path, error: OSError) -> None:
         advice = way_out(error, "or set TMPDIR to another one")
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            advice = "close the files that the ADS and the tests have opened"
+            advice = "Close the files that the ADS and the tests have opened"
         elif error.errno == errno.EPERM:
-            advice = "delete that folder, or set TMPDIR to a folder that belongs to you"
+            advice = "Delete that folder, or set TMPDIR to a folder that belongs to you"
         super().__init__(
-            f"{folder}: expected a folder for crash records, but it cannot be used: {error.strerror or error} "
-            f"({advice}). If this process crashes, no record will name the scenario"
+            f"{folder}: expected a writable folder for crash records, received the error: {error.strerror or error}. "
+            f"{advice}. Otherwise, the scenario is not recorded if this process crashes"
         )
 
 
@@ -61,7 +61,7 @@ class CrashRecord:
     def __init__(
         self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None, is_watched: bool = False
     ) -> None:
-        """Prepare a record. Its file is created for the first scenario, so the record can be sent to another process.
+        """Prepare a record. Its file is created only for a scenario, so the record can be sent to another process.
 
         ``is_watched`` is True if a session notices when the process ends.
         """

@@ -41,7 +41,7 @@ Task = Scenario | Whole
 
 
 @contextmanager
-def connected(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
+def connect(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
     """Connect to a Dask scheduler and yield a function that creates pools of its workers.
 
     ``tell`` receives a message if the scheduler has no worker yet.
@@ -66,21 +66,20 @@ def connected(address: str, tell: Callable[[str], object], *, timeout: float = 1
                 )
                 client.wait_for_workers(1)
         except Exception as error:  # noqa: BLE001  (any network error)
-            expected = "a running scheduler with the same packages as this session"
-            received = f"this error: {type(error).__name__}: {error}"
-            raise ExecutionError(f"{flag('dask', address)}: expected {expected}, received {received}") from None
+            problem = "expected a running scheduler with the same packages as this session, received the error"
+            raise ExecutionError(f"{flag('dask', address)}: {problem} {_named(error)}") from None
         yield partial(DaskPool, client.get_executor())
 
 
 class DaskPool:
-    """A pool that runs scenarios on the workers of a cluster, like :class:`WorkerPool` in local processes.
+    """A pool that runs scenarios on the workers of a cluster, as :class:`WorkerPool` does in local processes.
 
     Raises:
         ExecutionError: if the world or the ADS cannot be pickled, or if a worker has different package versions.
     """
 
     def __init__(self, executor: Executor, job: Job) -> None:
-        self.recovered: list[LostRun] = []  # deaths of processes in runs that succeeded in a second attempt
+        self.recovered: list[LostRun] = []  # process deaths in runs whose second attempt succeeded
         self.failure = ""  # why the cluster cannot be used any more, or empty
         self.unable: list[Exception] = []  # exceptions of workers in runs that this process has to repeat
         self._executor = executor
@@ -111,7 +110,7 @@ class DaskPool:
             parcel = self._parcel if not self._is_known else replace(self._parcel, content=None)
             named: Any = {"key": f"pafot-{next(self._numbers)}-{self._parcel.digest}", "pure": False}
             try:
-                # The scheduler sees only bytes and pickle.loads, so it needs no pytest-pafot. Unpickling runs the task.
+                # The scheduler sees only bytes and pickle.loads, so it does not need this package.
                 call = pickle.dumps(_Call(_run_task, parcel, task))
                 self._under_way[task] = self._executor.submit(pickle.loads, call, **named)
             except Exception as error:  # noqa: BLE001  (the client is closed; Dask's errors have no base)
@@ -138,8 +137,8 @@ class DaskPool:
                 else:
                     received = f"{type(error).__name__}: {error}"
                     raise ExecutionError(
-                        f"{OPTION}: expected workers that can run scenarios, received {received}. Do they have the "
-                        "same packages as this session?"
+                        f"{OPTION}: expected workers that can run scenarios, received the error {received}. Do the "
+                        "workers have the same packages as this session?"
                     ) from None
                 continue
             if isinstance(done, str):
@@ -179,7 +178,7 @@ def _lost(task: Task, error: Exception) -> LostRun:
     return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
 
 
-# The data that are sent.
+# The data that is sent to workers.
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +212,8 @@ def packed(job: Job) -> Parcel:
             content = cloudpickle.dumps(Job(world=job.world, policy=job.policy, records=Path(), owner=""))
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
-                f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received one that "
-                f"raises {type(error).__name__}: {error}. Open files and connections inside the factory, not before"
+                f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received the "
+                f"error {type(error).__name__}: {error}. Open files and connections inside the factory, not before"
             ) from None
     digest = hashlib.sha256(content).hexdigest()[:16]
     return Parcel(digest, content, job.patience, versions_here(), job.closing)
@@ -244,7 +243,7 @@ class _Call:
 def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str | None:
     """Run a scenario in a worker. Return the answer, and the processes lost before a second attempt succeeded.
 
-    Return the reason if the worker cannot run any scenario, or None if it needs the content of the parcel.
+    If the worker cannot run any scenario, return the reason. If it needs the content of the parcel, return None.
     """
     # The same scenario must give the same result on any worker, so the versions must be equal.
     here, place = versions_here(), f"{socket.gethostname()} ({sys.executable})"
@@ -252,16 +251,16 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
              if here.get(name) != version]  # fmt: skip
     if other:
         expected = f"{OPTION}: expected workers with the same versions as this session"
-        return f"{expected}, but at {place} they differ: {'; '.join(other)}. Install the same versions there"
+        return f"{expected}, but those at {place} differ: {'; '.join(other)}. Install the same versions there"
     try:
         whole, idle = _kept(parcel)
     except LookupError:
         return None
     try:
-        # One idle child for each task that ran at the same time. A child is put back after its task.
+        # There is an idle child for each task that has run at the same time. A child is put back after its task.
         pool = idle.get_nowait()
     except Empty:
-        multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which may have no children.
+        multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which cannot have children.
         work = partial(_run, whole)
         pool = WorkerPool(work, 1, method="spawn", patience=whole.patience, idle=IDLE, **whole.closing)
     answer = pool.fetch(task)

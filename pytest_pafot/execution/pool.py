@@ -50,8 +50,8 @@ STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3  # why a process ends itself
 
 POLL = 0.5  # longest time between two checks that busy processes are alive [s]
 
-# A message starts with its length. If an ADS prints into the pipe, because it found the descriptor by chance, four
-# characters are read as a length, and the session would wait for so many bytes. The smallest length is four spaces.
+# A message starts with its length. If an ADS prints into the pipe, because it happens to use the descriptor, four
+# characters are read as a length. The session would wait for as many bytes. The smallest such length is four spaces.
 LARGEST = 0x2020_2020 - 1  # largest size of an answer [bytes]
 
 # A function that runs a task. Its second argument is a function that sends messages before the answer.
@@ -59,7 +59,7 @@ Work: TypeAlias = Callable[..., ResultT]
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
-    """An error for a task without a result, because its process died or hung.
+    """An error for a task that has no result, because its process died or hung.
 
     Args:
         task: the task.
@@ -109,7 +109,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         grace: the additional time [s] for a decision that ignores its interrupt.
         idle: the time [s] after which an idle process ends, or None.
         ended: a function to call with the id of each process that has ended.
-        leave: a function that each process calls before it ends, unless it is killed; or None.
+        leave: a function, or None. Each process calls it before it ends, unless it is killed.
         left: a function to call with the result of ``leave``.
         farewell: the time [s] in which a process can end normally.
         clock: a monotonic clock [s].
@@ -129,7 +129,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     clock: Callable[[], float] = monotonic
 
     def __post_init__(self) -> None:
-        # The deaths of processes in tasks that succeeded in a second attempt.
+        # The process deaths in tasks whose second attempt succeeded.
         self.recovered: list[ProcessLostError[TaskT]] = []
         self.failure = ""  # why no process can be started, or empty
         self._has_lost = False  # whether a process has died
@@ -179,7 +179,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         If ``waits`` is false, return None if there is no message yet.
 
         Raises:
-            OutOfTime: if the search has run out of time. All processes have then ended.
+            OutOfTime: if the search has run out of time. By then, all processes have ended.
         """
         while waits and not self._said:
             self._receive()
@@ -190,10 +190,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         """Wait for the answer to a task. An answer can be fetched only once.
 
         Raises:
-            OutOfTime: if the search has run out of time. All processes have then ended.
+            OutOfTime: if the search has run out of time. By then, all processes have ended.
         """
         # A process may be killed because all processes together use too much memory, so its task is tried again while
-        # no other one runs. Any other death counts only if a second process dies as well.
+        # no other task runs. Any other death counts only if a second process dies as well.
         self.add_first([task])
         first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
@@ -323,7 +323,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._said.append((task, said))
                 return
             is_gone = True
-        # The process sent nothing, so find out why. If it gave a reason itself, this counts, even if it is dead by now.
+        # The process sent nothing, so find out why. If it gave a reason itself, that counts, even if it is dead by now.
         if worker.gave_up.value == EXHAUSTED:
             self._lose(task, worker, OUT_OF_MEMORY)
         elif worker.gave_up.value == WORLD_STUCK:
@@ -351,7 +351,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._remove(worker)
         self._has_lost = True
         lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
-        # A process that dies before its first task was not killed by a task, and the next one would die too.
+        # A process that dies before its first task was not killed by a task, and the next process would die, too.
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.end} before its first task")
         elif task in self._wanted and (is_hang or task in self._followed):
@@ -360,13 +360,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._suspects[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        # The children first: their ids cannot be reused as long as their parent exists.
+        # End the children first, because their ids cannot be reused as long as their parent exists.
         children = _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
         worker.connection.close()
         self._workers.remove(worker)
-        for pid in (*children, worker.pid):  # Children may be processes of a pool of its own.
+        for pid in (*children, worker.pid):  # The children may be processes of the worker's own pool.
             self.ended(pid)
 
 
@@ -393,7 +393,7 @@ class _Worker(Generic[TaskT]):
         is_bound = leave is None and threading.current_thread() is threading.main_thread()
         patience = None if is_bound else farewell if leave else 0.0
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
-        # A daemon, so that a worker of a cluster that ends kills it and does not wait for it.
+        # The process is a daemon, so that a cluster's worker that ends kills the process instead of waiting for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _blocked({signal.SIGINT}, context.get_start_method()):
             # Python warns about any thread. This module starts none, and the threads of libraries are documented.
@@ -468,7 +468,7 @@ class _Left(NamedTuple):
 
 
 def ending(code: int | None) -> str:
-    """Describe how a process with this exit code ended, such as ``was ended by SIGKILL``."""
+    """Describe how a process with this exit code ended, for example ``was ended by SIGKILL``."""
     if code is not None and code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
@@ -499,7 +499,7 @@ def _end_with_session(patience: float | None) -> None:
     session: Any = multiprocessing.parent_process()
     main, pid = threading.get_ident(), os.getpid()
 
-    # Only children of the main thread, because the system sends the signal when the thread that made a child ends.
+    # This applies only to children of the main thread, because the signal is sent when the thread of a child ends.
     def bind_child() -> None:
         if threading.get_ident() == main and os.getppid() == pid:
             bound_to(pid, signal.SIGKILL)
@@ -517,7 +517,7 @@ def _end_with_session(patience: float | None) -> None:
     if patience is None and bound_to(session.pid, signal.SIGKILL):
         os.register_at_fork(after_in_child=bind_child)
     else:
-        # If this thread received a signal, the signal would not wake the main thread, which waits or sleeps.
+        # If this thread received a signal, the signal would not wake the main thread from waiting or sleeping.
         with _blocked(signal.valid_signals()):
             threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
 
@@ -554,7 +554,7 @@ def _serve(
         is_leaving = True
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the next signal ends a task that ignores the exception
         if may_raise:  # otherwise, the process first sends its answer completely, and then ends
-            raise KeyboardInterrupt  # no run takes it for an error of its policy
+            raise KeyboardInterrupt  # no run mistakes it for an error of its policy
 
     def end(why: int = STUCK) -> None:
         gave_up.value = why

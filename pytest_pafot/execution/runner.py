@@ -41,8 +41,8 @@ from pytest_pafot.world.engines.simulation import CLOSING, Simulators
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
-# The output of code in a different process is printed text, log records and warnings. The process of the test repeats
-# it, because pytest captures only the output of that process.
+# The output of code in another process consists of printed text, log records and warnings. The process of the test
+# repeats it, because pytest captures only the output of that process.
 
 
 @dataclass(slots=True, kw_only=True)
@@ -163,7 +163,7 @@ class Whole:
 # A result, or an exception. Unless it is a ProcessLostError, this process may run the scenario again.
 Answer: TypeAlias = Timed | Exception
 
-# A pool for scenarios and Whole tasks, with an Answer each, and for Chunks, which send several Timed.
+# A pool for scenarios and Whole tasks, which get one Answer each, and for Chunks, which send several Timed results.
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 
 RunScenario: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]  # runs a scenario with the policies of a factory
@@ -239,8 +239,8 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
             pickle.dumps(work)
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
-                "expected an ADS factory that can be pickled, because processes cannot be forked here, received one "
-                f"that raises {type(error).__name__}: {error}. Use a class or a function from an importable module"
+                "expected an ADS factory that can be pickled, because processes cannot be forked here, received the "
+                f"error {type(error).__name__}: {error}. Use a class or a function from an importable module"
             ) from None
     grace = min(IGNORED, GRACE)
     return WorkerPool(
@@ -269,7 +269,7 @@ def _run_task(
             return run_recorded(job, record, task.scenario, None, task.method)
         if not isinstance(task, Chunk):
             return run_recorded(job, record, task, job.read)
-        assert job.drive is not None  # noqa: S101  (only then there are such tasks)
+        assert job.drive is not None  # noqa: S101  (otherwise, there are no chunks)
         job.drive(task, job, record, say)
         return None
 
@@ -312,7 +312,7 @@ def made_from(answer: Answer) -> Any:
 
 
 def made_apart(answer: Answer) -> Any:
-    """Return an answer's result, for a policy that must not run in this process.
+    """Return the result of an answer, which comes from another process because the policy must not run in this one.
 
     Raises:
         Exception: any exception of the other process.
@@ -347,7 +347,7 @@ def runner_for(
     Args:
         job: the world, the policy and the settings.
         record: the open crash record of this process. The caller clears it after each verdict, and closes it.
-        workers: the largest number of other processes; 1 for this process alone.
+        workers: the largest number of worker processes. 1 means that the job runs only in this process.
         isolate: True if the ADS must never run in this process.
         cluster: workers on other machines, or None.
         clock: a monotonic clock [s].
@@ -360,8 +360,8 @@ def runner_for(
 # A run in another process takes half a millisecond longer, and starting a process takes as long as several runs.
 DEAR = 0.010  # mean duration of a run from which other processes make a search faster [s]
 
-# The first run loads libraries. If it is slow, processes are started after it. They are ended again if the next runs
-# turn out to be fast.
+# The first run loads libraries. If it is slow, processes are started after it. They end again if the next runs turn out
+# to be fast.
 WARM_RUNS = 2  # number of runs after the first one that decide whether other processes are used
 
 AHEAD, AHEAD_ELSEWHERE = 4, 128  # scenarios that are sent in advance to each process, and to all workers of a cluster
@@ -390,8 +390,8 @@ class Here:
 
         Args:
             scenario: the scenario to run.
-            drive: the name of a method of the world, or a function, that runs a scenario.
-            most: the number of decisions after which the run can be ended with an error.
+            drive: a function that runs a scenario, or the name of such a method of the world.
+            most: the number of decisions after which the run can end with an error.
 
         Raises:
             ProcessLostError: if another process ran the scenario, and died or hung.
@@ -401,7 +401,7 @@ class Here:
         __tracebackhide__ = True
         made = self._once(scenario, drive, most)
         if isinstance(made, Trace):
-            # A run in another process has more decisions than ``most``, so they are cut to the same number.
+            # A run in another process can have more decisions than ``most``, so their number is limited here.
             self.decisions += min(len(made.actions), most or sys.maxsize)  # the same for any number of processes
         return made
 
@@ -470,7 +470,7 @@ class Apart(Here):
         self._clock = clock
         # Processes start only when a run turns out to be slow, see _learn.
         self._expected: dict[Scenario | Whole, None] = {}  # announced runs that were not yet requested, in order
-        self.recovered: list[LostRun] = []  # deaths of processes of earlier pools in scenarios that succeeded later
+        self.recovered: list[LostRun] = []  # process deaths in earlier pools, in scenarios that succeeded later
         self._pool: ScenarioPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False
@@ -564,7 +564,7 @@ class Apart(Here):
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
-        return [f"{option} was not used, because a run took {mean:.1f} ms. Workers pay off from {dear:g} ms per run"]
+        return [f"{option} was not used, because runs took only {mean:.1f} ms. Workers help from {dear:g} ms per run"]
 
     @property
     def in_use(self) -> int:
@@ -628,13 +628,13 @@ class Apart(Here):
             raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer: Answer = pool.fetch(task)
         if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected a process for the ADS, but it failed: {pool.failure}")
+            raise ExecutionError(f"{flag('isolate')}: expected a process for the ADS, but none works: {pool.failure}")
         # A package may be missing on another machine. This must not be taken for an error of the ADS.
         is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
         if is_raised and self.is_elsewhere and own is None:
             raise ExecutionError(
-                f"{flag('isolate')}: expected workers that can run every scenario, received {type(answer).__name__}: "
-                f"{answer} from one of them. Install the missing packages on the workers. Or search without "
+                f"{flag('isolate')}: expected workers that can run every scenario, but one of them raised "
+                f"{type(answer).__name__}: {answer}. Install the missing packages on the workers, or search without "
                 f"{flag('isolate')}, so that this process can run such scenarios"
             )
         return answer

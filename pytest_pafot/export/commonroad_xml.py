@@ -33,7 +33,7 @@ NO_DATE = b"2000-01-01"  # replaces today's date, so that equal runs give equal 
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return a CommonRoad file with a time step per tick. Its planning problem has the ego's start and last tick."""
+    """Return a CommonRoad file with one time step per tick. The ego must drive from its start to the last tick."""
     scenario = Scenario(trace.dt)
     lanelets = []
     for number, lane in enumerate(trace.lanes, FIRST_LANELET):

@@ -20,13 +20,13 @@ from pytest_pafot.support.errors import FieldError, install
 from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.process import postponed
 from pytest_pafot.support.text import csv_text
-from pytest_pafot.world.codec import of_named
+from pytest_pafot.world.codec import file_or_named_world
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 
 
 def states_of(trace: Trace) -> FloatArray:
-    """Return a trace's states, converted to x ahead, y to the left and anticlockwise headings.
+    """Return a trace's states, converted so that y points left and headings are anticlockwise.
 
     The shape and the columns are those of ``trace.states``.
     """
@@ -152,10 +152,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     export, saved = exporter(arguments.to), load(arguments.finding)
     if arguments.ads is None:
         expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
-        received = "none; a file contains the instructions of the NPCs, but not the trajectories of the vehicles"
+        received = "none. A file contains the instructions of the NPCs, but not the trajectories of the vehicles"
         raise ExportError(field="--ads", expected=expected, received=received)
     made = chosen_world(arguments.world, None, [arguments.ads])
-    world = saved.world if made is None else of_named(saved.finding.world, made)
+    world = saved.world if made is None else file_or_named_world(saved.finding.world, made)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     error = driven.trace.error
     if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):

@@ -24,11 +24,11 @@ PARTS = {
     "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
 SHARE = 0.05  # the smallest difference that counts between two numbers in an environment's own units
-CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego drives along it [m]
-ALONG = DRIFTING / 10  # the sideways speed below which the ego drives along the road [m/s]
-# Below this sideways speed, or change of sideways speed between two decisions, the ego does not steer [m/s].
+CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego counts as driving along it [m]
+ALONG = DRIFTING / 10  # the sideways speed below which the ego counts as driving along the road [m/s]
+# Below this sideways speed, or change of sideways speed between two decisions, the ego counts as not steering [m/s].
 STEADY = 0.003
-# A drift takes at least this long to reach the line [s]. A lane change also starts slowly, but reaches it earlier.
+# A drift takes at least this long to reach the line [s]. A lane change also starts slowly, but takes less time.
 DRIFT_SECONDS = 3.0
 # The faults of an ego that should not have braked.
 NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
@@ -50,8 +50,8 @@ class Moment:
     otherwise: str | None = None
     reference: str = ""  # the action of the reference, if the test has one and this is the first decision that differs
     # The conditions that the policy evaluated, each with its line, values and outcome, in groups: about this NPC, about
-    # no vehicle or an unknown one, about other vehicles. A group starts with the conditions that have another outcome
-    # after the change in `otherwise`. The others follow, the latest first.
+    # no vehicle or an unknown one, about other vehicles. A group starts with the conditions that have a different
+    # outcome after the change in `otherwise`. The others follow, the latest first.
     conditions: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     def __str__(self) -> str:
@@ -59,7 +59,7 @@ class Moment:
         if self.hidden is not None and not self.reference:
             changed.insert(1, f"with {whom} hidden, it chose {self.hidden or 'the same'}")
         if self.otherwise == "" and not self.reference:
-            changed.append(f"no change of {whom} that was tried had an effect")
+            changed.append(f"none of the changes tried for {whom} had an effect")
         return f"{'; '.join(changed)}."
 
     @property
@@ -68,7 +68,7 @@ class Moment:
         at = f"At {self.time:.1f} s,"
         if self.reference:
             first = f"{at} in the first decision that differs, the policy chose {self.action}"
-            return f"{first}, and the reference {self.reference}."
+            return f"{first}, and the reference chose {self.reference}."
         saw = f"saw NPC {self.npc} ({self.seen}) and " if self.seen else ""
         was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
         otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
@@ -125,7 +125,7 @@ def moved_over(run: Run) -> int | None:
 
 
 def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
-    """Return the sentences that explain a run, with the start of a lane change for which the ego is at fault."""
+    """Return the sentences that explain a run, including the start of a lane change for which the ego is at fault."""
     sentences, number = expect.sentences_on(run), moved_over(run)
     if not sentences or number is None:
         return sentences
@@ -144,7 +144,8 @@ def deed_of(run: Run, sentences: Sequence[str]) -> str:
 
 
 def _drifted(trace: Trace, number: int, crossed: float) -> bool:
-    # A drift takes long, and is as slow as a vehicle that wanders. An ego that has chosen another lane does not drift.
+    # A drift takes a long time, and is as slow as wandering in the lane. An ego that has chosen another lane does not
+    # drift.
     # `crossed` is the time at which the ego crosses the line [s].
     begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
     lane = _lane_of(trace.actions[number], None) if number < len(trace.actions) else None
@@ -197,7 +198,7 @@ def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float
         gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
     words = [f"{gap:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if gap > 0 else "next to the ego"]
     words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
-    pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
+    pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "equally fast"
     return ", ".join([*words, pace])
 
 

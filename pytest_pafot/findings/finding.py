@@ -38,7 +38,7 @@ from pytest_pafot.oracle.run import Check, CheckFailed, Run
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import capitalised, visible
 
-# Everything that differs between processes is removed from error messages, so that equal seeds write equal files.
+# Everything that differs between processes is removed from error messages, so that equal seeds lead to equal files.
 
 _ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
 _PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
@@ -56,7 +56,7 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 def portable(text: str, root: str = "") -> str:
     """Replace the parts of a string that differ between processes or checkouts."""
-    if root:  # paths become relative to the project, or below to the folder of installed packages
+    if root:  # paths become relative to the project here, and to the folder of installed packages below
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
     text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
@@ -71,7 +71,7 @@ MAX_NUMBER = 1e9
 RUNS = 10  # the number of runs, each with another seed, that measure how often a policy fails
 
 # If at least this many of ten runs failed, ten runs without a failure show a fix. If 30 % of all runs fail, the chance
-# that none of ten does is 0.7 ** 10, less than 3 %.
+# that none of ten runs fails is 0.7 ** 10, less than 3 %.
 ENOUGH = 3
 
 # Ids are part of file names and node ids on every platform.
@@ -106,7 +106,7 @@ class Expect:
         side: side of the ego that was hit.
         closing_speed: closing speed [m/s] of the collision, or None if unknown.
         situation: situation from which the failure arose, or None. A replay in which it does not occur
-            shows no fix.
+            does not show a fix.
         responsibility: who is responsible for the collision.
         fault: rule that the ego broke.
         mistake: what the ego did wrong, for the fault ``entered-lane``.
@@ -145,11 +145,11 @@ class Expect:
     @property
     def signature(self) -> Signature:
         # The identity of the failure, as far as these fields determine it.
-        return Signature.of(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
+        return Signature.from_facts(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
 
     @property
     def brief(self) -> str:
-        """The failure on one line, such as the check with its value and bound."""
+        """The failure in one line, such as the check with its value and bound."""
         if self.check is not None:
             told = {name: value for name, value in asdict(self.check).items() if name != "value"}
             value = math.nan if self.check.value is None else self.check.value
@@ -165,19 +165,19 @@ class Expect:
         return capitalised(impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed))
 
     def is_of(self, run: Run) -> bool:
-        """Return whether a run contains this finding's collision, at the same time with the same NPC."""
+        """Return whether a run contains this finding's collision, at the same time and with the same NPC."""
         hit = run.collision
         return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        # If the run has this collision, the last sentence also states whether a careful driver could avoid it.
+        # If the run has this collision, the last sentence also states whether a careful driver could have avoided it.
         told = run.sentences
         if self.takeover is None or not self.is_of(run):
             return told
         return *told[:-1], responsible_sentence(run.attribution.responsibility, self.npc, self.takeover)
 
     @classmethod
-    def of(
+    def from_run(
         cls,
         run: Run,
         failure: Failure,
@@ -196,7 +196,7 @@ class Expect:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         bounded, check = None, failure.check
         if check is not None:
-            # The last digits of a measured value depend on the processor. A bound is a number that the user chose.
+            # The last digits of a measured value depend on the processor. Those of a bound do not, so more are kept.
             bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
             bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
@@ -283,7 +283,7 @@ class Finding:
         rate: how many runs of the scenario fail, if the policy draws random numbers or the scenario is flaky;
             otherwise None.
         flaky: difference between two runs of the scenario, or None. A flaky finding is never reported as fixed.
-        xfail: the user's reason to accept the failure, or None.
+        xfail: the user's reason for accepting the failure, or None.
         xfail_until: the last day on which the failure is accepted, or None.
         trace: trace of the failing run, if a search in this process recorded it; otherwise None.
     """
@@ -360,7 +360,7 @@ class Finding:
         return line if self.perception is None else f"{line}, found with {self.perception.described}"
 
     @classmethod
-    def of(
+    def from_run(
         cls,
         run: Run,
         failure: Failure,
@@ -373,8 +373,8 @@ class Finding:
         root: str = "",
     ) -> Finding:
         # The id is derived from the signature and the executed scenario.
-        expect = Expect.of(run, failure, against=against, root=root)
-        id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
+        expect = Expect.from_run(run, failure, against=against, root=root)
+        id_ = f"{signature_of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(
             id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found, perception=perception
         )
@@ -410,9 +410,9 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
 
 
-def of_failure(run: Run, failure: Failure) -> Signature:
+def signature_of_failure(run: Run, failure: Failure) -> Signature:
     """Return the signature of a run's failure."""
-    return replace(Expect.of(run, failure), mistake=run.attribution.mistake).signature
+    return replace(Expect.from_run(run, failure), mistake=run.attribution.mistake).signature
 
 
 def is_id(text: str) -> bool:
@@ -472,7 +472,7 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
-        expected, fix = "null, a Boolean, a number but not NaN, a string, a list or a mapping", "convert the value"
+        expected, fix = "null, a Boolean, a number other than NaN, a string, a list or a mapping", "convert the value"
         raise FieldError(field=name, expected=expected, received=f"the {type(value).__name__} {value!r:.60}", fix=fix)
 
 
@@ -524,7 +524,7 @@ def handles(finding: Finding, run: Run) -> bool:
     # continued after the time of the check.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
-    # A collision that is no failure must be more than 2 s after the situation, and later after it than the failure was.
+    # A collision that is not a failure must be more than 2 s after the situation, and longer after it than the failure.
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
@@ -532,7 +532,7 @@ def handles(finding: Finding, run: Run) -> bool:
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a run that passed did not handle the saved situation, or an empty string."""
+    """Return why a run that passed did not handle the saved situation, or an empty string if it did."""
     expect, hit, ended = finding.expect, run.collision, run.trace.ended
     if ended and not run.trace.users_error_text and run.duration < expect.time:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
@@ -541,7 +541,7 @@ def unhandled(finding: Finding, run: Run) -> str:
     is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
     if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:
         return why
-    return f"the ego and NPC {hit.npc} still collide, after {hit.time:.1f} s, but the test accepts that"
+    return f"the ego and NPC {hit.npc} still collide at {hit.time:.1f} s, but the test accepts this"
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
@@ -563,13 +563,13 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
     """Return whether a run fails in the same way as the saved scenario, at any time."""
-    return of_failure(run, failure) == finding.signature
+    return signature_of_failure(run, failure) == finding.signature
 
 
 def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
     """Describe how a failure differs from the accepted failure, or return an empty string."""
     # The time, the cell and the responsible vehicle can differ.
-    then, now, hit = finding.signature, of_failure(run, failure), run.collision
+    then, now, hit = finding.signature, signature_of_failure(run, failure), run.collision
     if now.failure != then.failure:
         return f"{now.failure} instead of {then.failure}"
     if now.assertion != then.assertion:
@@ -602,7 +602,7 @@ def has_time(run: Run, failure: Failure) -> bool:
     # A check without a time, or an assertion on a measure, may be about the complete run, such as the distance driven.
     # It cannot be evaluated in a run that continues.
     check = failure.check
-    return not of_failure(run, failure).is_property if check is None else check.time is not None
+    return not signature_of_failure(run, failure).is_property if check is None else check.time is not None
 
 
 def ending(run: Run) -> str:

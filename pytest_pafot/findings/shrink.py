@@ -63,7 +63,7 @@ class Ahead(NamedTuple):
     """An announcement of the next candidates, which can run in advance. It requires no response."""
 
     candidates: Sequence[Scenario]
-    more: bool  # False if earlier candidates that were not attempted will not be needed
+    more: bool  # False if earlier candidates that were not attempted are no longer needed
 
 
 ResultT = TypeVar("ResultT")
@@ -124,7 +124,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     # Every number is a non-negative integer, so every chain of simplifications ends.
     return (
-        # A reader has to understand each NPC, and then each instruction. Equal ones in a row are read as one.
+        # A reader has to understand each NPC, and then each instruction. Equal consecutive ones count as one.
         len(scenario.npcs),
         len(parts),
         # Staying is simpler than moving, and passing a zone is simpler than holding or stopping.
@@ -220,15 +220,15 @@ def shrink(
             is_minimal = not (is_simpler or (yield from gate.exhausts(_two_steps)))
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
-        # Once, even if the passes used up their budget. They do not start again.
+        # Run this pass once, even if the others used up their budget. They do not start again.
         yield from gate.exhausts(_papers_traffic)
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal)
 
 
 @dataclass(slots=True, kw_only=True)
 class _Gate:
-    # All attempts go through this class. A candidate must be valid, simpler than the best, and not tried before. Two
-    # scenarios are equal if their canonical texts are equal.
+    # All attempts go through this class. A candidate must be valid and simpler than the best, and must not have been
+    # tried before. Two scenarios are equal if their canonical texts are equal.
 
     best: Scenario
     rollouts: int
@@ -309,7 +309,7 @@ class _Gate:
 
 
 def _on_grid(scenario: Scenario) -> Candidates:
-    # NPCs in lanes drive on the grid: first all of them, then only one, with the same moves from the cell of the start.
+    # NPCs in lanes move to the grid: first all of them, then only one, with the same moves from the cell of the start.
     # An NPC in lanes starts in a different cell if another NPC is removed, so it often needs the others. On the grid it
     # needs none of them. The cells are right only if all eight exist around the ego.
     free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
@@ -437,7 +437,7 @@ def _passing(scenario: Scenario) -> Candidates:
 
 
 def _rounder(scenario: Scenario) -> Candidates:
-    # A speed becomes the next multiple of 5 m/s, then of 1 m/s, below and above.
+    # A speed becomes the next lower or higher multiple of 5 m/s, then of 1 m/s.
     for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -480,10 +480,11 @@ def passes() -> tuple[Pass, ...]:
 
 def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
     # Small scenarios have one NPC with one or two instructions, or two NPCs with one each, and the ego's preferred or
-    # present start. There are thousands of them, and very few fail. With `is_limited`, only some are tried, which have
-    # fewer NPCs or instructions than the scenario: the passes also find those of the same size. The NPCs are cars, or
-    # all are the scenario's first vehicle that is no car. They are on the grid, alternating with the scenario's other
-    # kinds of instructions. If NPCs of the scenario cross, only a single NPC that crosses in one of the zones is tried.
+    # present start. There are thousands of them, and very few fail. With `is_limited`, only some are tried, all with
+    # fewer NPCs or instructions than the scenario, because the passes also find those of the same size. The NPCs are
+    # cars, or all are the scenario's first vehicle that is not a car. They are on the grid, alternating with the
+    # scenario's other kinds of instructions. If NPCs of the scenario cross, only a single NPC that crosses in one of
+    # the zones is tried.
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))

@@ -17,7 +17,7 @@ from pytest_pafot.support.text import plural
 
 # The label that a session gives to a saved scenario.
 Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
-# The label of a new finding, and of one that does not count because the reference fails as often.
+# The labels of new findings. A finding that is `no worse` does not count, because the reference fails as often.
 New = Literal["new", "no worse"]
 
 # The titles of the groups of findings in a summary, by label or result, the most urgent group first.
@@ -45,19 +45,19 @@ class Observed:
     fails: bool = False  # a run fails, or its process dies
     is_same: bool = False  # it fails as the file states
     is_later: bool = False  # only the second run failed, which continues after the end of the saved run
-    is_unsteady: bool = False  # the runs differ for another reason than the chance that a rate measures
+    is_unsteady: bool = False  # the runs differ for a reason other than the chance that a rate measures
     is_handled: bool = False  # a run passes, and the situation of the file occurred in it
-    # It was run under other versions, in another world than the test's, or with another perception.
+    # It was run with other package versions, or in a world or with a perception that differs from the test's.
     is_elsewhere: bool = False
-    is_rare: bool = False  # the failure occurs by chance, and so rarely that ten passing runs show no fix
+    is_rare: bool = False  # the failure occurs by chance, and so rarely that ten passing runs do not show a fix
     is_accepted: bool = False  # the file accepts its failure today
     beyond: str = ""  # how the failure differs from the one that the file accepts, or empty
     reference_passes: bool | None = None  # whether the reference passes the same scenario; None without a reference
     against: str = ""  # the reference that a replay is compared with, or empty
-    severity: Severity | None = None  # None if it passes, nothing measures it, or there is no run
-    before: Severity | None = None  # severity with the reference of a replay, or None
+    severity: Severity | None = None  # None if it passes, if nothing measures it, or if there is no run
+    before: Severity | None = None  # for a replay, the severity with the reference, or None
     sentences: tuple[str, ...] = ()  # the sentences on a collision; empty until an item reports the finding
-    # Number of runs of a complete search of this session that found no such failure, if the replay passes; otherwise 0.
+    # If the replay passes, number of runs of a complete search of this session that found no such failure; otherwise 0.
     searched: int = 0
     drawn: int = 0  # number of random scenarios among `searched`
     elsewhere: str = ""  # id of a finding of this session's search that fails as the file states, or empty
@@ -68,7 +68,7 @@ class Observed:
     is_lost: bool = False
     # The policy drew random numbers in the run that showed a new finding.
     has_drawn: bool = field(default=False, compare=False, repr=False, metadata=IN_MEMORY)
-    # The run that shows the failure, or the first of passing runs; None if the process died or hung.
+    # The run that shows the failure, or the first passing run; None if the process died or hung.
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     # The verdict on that run; None outside the process of the item.
     verdict: Verdict | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
@@ -114,7 +114,7 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 class Alike:
     """The runs of a search that failed in the same way as a finding."""
 
-    runs: int = 0  # number of these runs; for a finding, without the run that shows it
+    runs: int = 0  # number of these runs; for a finding, excluding the run that shows it
     number: int = 0  # number of the worst run in the search, from 0
     severity: Severity | None = None  # severity of the worst run; None if nothing measures it
     least: Severity | None = None  # severity of the mildest run, or None
@@ -134,8 +134,8 @@ class Seen:
     # new detail, so only the last event of a finding is valid.
 
     finding: Finding  # the content of the file
-    node_id: str  # node id of the item that replays it in this session, or a new finding from the next session
-    test: str = ""  # node id that the test of a replay has in this session
+    node_id: str  # node id of the item that replays it in this session or, for a new finding, in the next one
+    test: str = ""  # for a replay, the node id of its test in this session
     observed: Observed = field(default_factory=Observed)  # the facts of its runs, which determine the label
     headline: str = ""  # how the run failed; empty if it passes
     path: str = ""  # path of the file; empty if a new finding has none
@@ -173,7 +173,7 @@ class Seen:
 
     @property
     def responsible(self) -> str:
-        """The side that is responsible for the collision, as stored in the corpus file."""
+        """The party that is responsible for the collision, as stored in the corpus file."""
         return self.finding.expect.responsibility
 
     @property
@@ -210,7 +210,7 @@ class Seen:
 
     @property
     def result(self) -> str:
-        """The label as in summaries, which report only facts: not ``fixed``, but ``passed (not found again)``."""
+        """The label for summaries, which report only facts: ``passed (not found again)`` instead of ``fixed``."""
         is_elsewhere = self.label == "still failing" and not self.observed.fails
         words = "found in another scenario" if is_elsewhere else "not found again" * (self.label == "fixed")
         return f"passed ({words})" if words else "passed" if self.label == "passes" else str(self.label)
@@ -232,17 +232,17 @@ class Seen:
         if elsewhere or not searched:
             return elsewhere and f"{elsewhere} fails in the same way"
         if not drawn:
-            return f"no such failure in {plural(searched, 'run')}"
-        others = f"; also none in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
-        return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
+            return f"the failure did not occur in {plural(searched, 'run')}"
+        others = f"; it also did not occur in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
+        return f"the failure did not occur in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
 
     @property
     def worst(self) -> str:
         """A note on the worst other run with this failure, or an empty string."""
-        worst, number, own = self.alike.severity, self.alike.number, self.severity
+        worst, own = self.alike.severity, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""
-        return f"the worst, run {number}, {worst}"
+        return f"the worst {worst}"
 
     @property
     def impacts(self) -> str:
@@ -251,7 +251,7 @@ class Seen:
         if worst is None or least is None or None in (worst.value, least.value):
             return ""
         low = f"{least.figure} to " if least.figure != worst.figure else ""
-        how = "closing at" if worst.kind == "collision" else "broken by"
+        how = "closing at" if worst.kind == "collision" else "violating the bound by"
         return f", {how} {low}{worst.figure} {worst.unit}".rstrip()
 
     @property

@@ -21,7 +21,7 @@ from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run
 
 # The tolerances were chosen by replaying failures of policies with seeded defects, both with the repaired policies and
-# with policies that avoid the situation; docs/explanation/findings.md explains what they mean.
+# with policies that avoid the situation; docs/explanation/findings.md explains the tolerances.
 
 BEFORE = 2.0  # the situation of a failure without a collision is taken this time before the failure [s]
 # All runs start in the same way, so in these first seconds [s], a situation counts only if the saved one was there.
@@ -33,7 +33,7 @@ PLACE = 5.0
 PLACE_SHARE = 0.25
 # Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s].
 SPEED = 3.0
-# They are also near if the NPC's own speed differs by up to 3 m/s, and the ego's speed by up to this [m/s].
+# They are also near each other if the NPC's own speed differs by up to 3 m/s, and the ego's speed by up to this [m/s].
 EGO_SPEED = 9.0
 REACH = 20.0
 # A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther
@@ -62,8 +62,8 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
     if npc is None or not np.isfinite(run.trace.states).all():
         return None
     if run.trace.zones and run.trace.zones[npc] is not None:
-        return ZoneSituation.of(run, failure, npc, time)
-    return Situation.of(run, failure, npc, time)
+        return ZoneSituation.from_run(run, failure, npc, time)
+    return Situation.from_run(run, failure, npc, time)
 
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
@@ -86,10 +86,10 @@ class Situation:
     npc_speed: float
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        # The moment is the time of the ego's mistake; if that is unknown, 2 s before the failure. If the ego was then
-        # changing lanes, or braking for nothing, it is the last moment before the ego started to. Otherwise, if the NPC
-        # entered the ego's lane only later, it is the moment at which the NPC was in the lane.
+    def from_run(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
+        # The moment is the time of the ego's mistake or, if that is unknown, 2 s before the failure. If the ego was
+        # changing lanes then, or braking for nothing, it is the last moment before the ego started to. Otherwise, if
+        # the NPC entered the ego's lane only later, it is the moment at which the NPC was in the lane.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
         tick = end if mistake is None else mistake
@@ -170,9 +170,9 @@ class ZoneSituation:
     npc_speed: float  # along the NPC's path [m/s]
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        # The moment is the time of the ego's mistake; if that is unknown, 2 s before the failure. If the mistake is to
-        # enter the zone, the moment is 2 s before the mistake.
+    def from_run(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
+        # The moment is the time of the ego's mistake or, if that is unknown, 2 s before the failure. If the mistake is
+        # to enter the zone, the moment is 2 s before the mistake.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
             since = round(time * trace.physics_hz) if mistake is None else mistake
@@ -236,7 +236,7 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
 
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
-    """Return a sentence if a situation did not occur in a run, or an empty string if it did."""
+    """Return a sentence about a situation that did not occur in a run, or an empty string if it did."""
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)

@@ -28,7 +28,7 @@ _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
-# The name of a failure in which the process died, so that there is no exception with a name.
+# The name of a failure in which the process died. It replaces the name of an exception.
 PROCESS_CRASH = "ProcessCrash"
 
 # The name of a failure of a check. Its assertion is the name of the check.
@@ -42,7 +42,7 @@ _OF_COLLISIONS = frozenset(
 # Faults at a zone. The position of the contact inside the zone does not matter.
 AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
 
-# The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into few groups.
+# The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into a few groups.
 ZONES = tuple(
     f"{kind} from {'the ' if origin in ('left', 'right') else ''}{origin}"
     for kind in get_args(Kind)
@@ -84,15 +84,15 @@ class Signature:
     cell: Cell | None = None  # cell of the NPC at the collision; None without a collision, or if there is a fault
     # Zone in which the NPC crossed; None if it did not, or for a fault that is not about a zone.
     zone: str | None = None
-    # Shortly before the collision; None without a collision, or if there is a fault.
+    # The NPC's manoeuvre shortly before the collision; None without a collision, or if there is a fault.
     npc_manoeuvre: Manoeuvre | None = None
-    ego_manoeuvre: Manoeuvre | None = None  # like `npc_manoeuvre`
+    ego_manoeuvre: Manoeuvre | None = None  # the ego's manoeuvre, like `npc_manoeuvre`
     # In a search, the id of the accepted file of the same failure, if this collision is faster than all collisions that
     # were known at the acceptance; otherwise None.
     worse_than: str | None = None
 
     @classmethod
-    def of(cls, **facts: Any) -> Self:
+    def from_facts(cls, **facts: Any) -> Self:
         # Keep only the facts that distinguish failures.
         told = cls(**facts)
         ended = cls(
@@ -116,7 +116,7 @@ class Signature:
             return True
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return False
-        # An assertion that uses no attribute of a run, or that is known only by its message, is on the end of the run.
+        # An assertion that uses no attribute of a run, or that is known only by its message, concerns the end.
         named, measures = _named(self.assertion)
         return bool(measures) and not named & _OF_COLLISIONS
 
@@ -232,8 +232,8 @@ class Severity:
 
     WORSE_BY: ClassVar[Mapping[str, float]] = MappingProxyType({"collision": 0.1, "check": 0.01})
     kind: Literal["collision", "check"]
-    # The closing speed at the impact, the magnitude of the difference of the velocities [m/s]; for a check, the amount
-    # by which its bound is broken [unit]. None, the worst value, if a check measured no finite number.
+    # The closing speed at impact, which is the magnitude of the velocity difference [m/s]; for a check, the amount by
+    # which its bound is broken [unit]. None, the worst value, if a check measured no finite number.
     value: float | None
     unit: str = ""  # unit of `value`
     # Negative margin of a check in units of its scale; None for a collision, or if `value` is None.
@@ -249,7 +249,7 @@ class Severity:
 
     def __str__(self) -> str:
         figure = f"{self.figure} {self.unit}".rstrip()
-        return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
+        return f"hits at {figure}" if self.kind == "collision" else f"violates the bound of {self.name} by {figure}"
 
     def is_fault(self, responsible: str) -> bool:
         """Return whether the failure is a collision for which the ego is responsible."""
@@ -265,7 +265,7 @@ class Severity:
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-        """Return a sort key for failures, the worst first.
+        """Return a sort key that puts the worst failures first.
 
         Collisions for which the ego is responsible come before all other failures.
         """
@@ -313,11 +313,11 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
     if now is None:
         return ""
     if before is None or now.kind != before.kind:
-        return f"{now}, no collision before" if now.kind == "collision" else ""
+        return f"{now}, with no collision before" if now.kind == "collision" else ""
     is_same = (now.name, now.unit) == (before.name, before.unit)
     if not is_same or now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind] or now.figure == before.figure:
         return ""
-    return f"{now}, {before.figure} before"
+    return f"{now} instead of {before.figure}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,7 +325,7 @@ class Verdict:
     """The verdict of the test function on a run."""
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` do not count. ``npc`` is a collision for which
-    # an NPC is responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either.
+    # an NPC is responsible, unless ``blame="any"``. ``common`` is a failure in a scenario that the reference fails.
     # ``invalid`` is a run that shows nothing about the ego, for example because two NPCs collided, or because the run
     # of the reference is invalid.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
@@ -365,11 +365,11 @@ class Verdict:
 
     @property
     def worsening(self) -> str:
-        """The increase in severity over the reference's failure in words, or an empty string."""
+        """A description of the increase in severity over the reference's failure, or an empty string."""
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:
         """Return this verdict, adjusted for the verdict on a run of the reference."""
-        # It counts only if the reference passes. If the run of the reference is invalid, that is unknown.
+        # A failure counts only if the reference passes. If the run of the reference is invalid, that is unknown.
         without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
         return replace(self, kind="failed" if reference.passes else without, reference=reference)

@@ -19,10 +19,10 @@ from pytest_pafot.model.instructions import CrossingInstruction
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
 
-# The kinds of junctions of an NPC's path and the ego's path. Crossing: one path leads across the other. Oncoming: the
-# NPC comes from ahead, and it or the ego turns across the other path. Merging: both paths continue in the same lane.
+# The ways in which an NPC's path and the ego's path meet. Crossing: one path leads across the other. Oncoming: the NPC
+# comes from ahead, and either vehicle turns across the other's path. Merging: both paths continue in the same lane.
 Kind = Literal["crossing", "oncoming", "merging"]
-# The direction that a vehicle comes from, as seen by the ego when the ego drives up to the zone.
+# The direction from which a vehicle comes, as seen by the ego when it approaches the zone.
 Origin = Literal["left", "right", "ahead", "behind"]
 Holder = Literal["ego", "npc", "none"]  # the vehicle that has priority in a zone: the ego, the NPC or neither
 
@@ -183,7 +183,7 @@ class Crossings:
 
     def start(self, instruction: CrossingInstruction) -> float:
         # The position [m] at which an NPC must start to keep its slot. An NPC with the act "hold" reaches its line when
-        # it would otherwise enter the zone. With "late", it reaches the line earlier, if it can brake for it.
+        # it would otherwise enter the zone. With "late", it reaches the line earlier if there is enough time.
         way = self.ways[instruction.zone]
         if instruction.act not in WAITING:
             return self._start_of_passing(instruction)
@@ -248,16 +248,16 @@ class Crossings:
 
     def _common_lane(self, first: str, second: str, mine: Stretch, theirs: Stretch) -> tuple[Stretch, float] | None:
         # The stretch of the first path on which both paths share a lane up to their zones, and an offset [m], or None.
-        # `mine` and `theirs` are the stretches on which the two paths meet. The offset is how much farther the same
-        # position is along the second path.
+        # `mine` and `theirs` are the stretches on which the two paths meet. The offset is the position of a point along
+        # the second path minus its position along the first path.
         zones, farther = (self.ways[first].zone.npc, self.ways[second].zone.npc), theirs[1] - mine[1]
         is_one = all(abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True))
         return ((mine[1], zones[0][0]), farther) if is_one and mine[1] <= zones[0][0] else None
 
     def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float) -> bool:
-        # Two NPCs in a shared lane must not start too close together, and must not overtake.
-        # The same position is `farther` along the second NPC's path. Only the two ends of the lane are checked: the
-        # slower NPC takes longer for each part of the lane, so the gap in time is smallest at one of the ends.
+        # Two NPCs in a shared lane must not start too close together, and neither may overtake the other.
+        # `farther` is the offset from `_common_lane`. Only the two ends of the lane are checked: the slower NPC takes
+        # longer for each part of the lane, so the gap in time is smallest at one of the ends.
         starts = self.start(first), self.start(second) - farther
         if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:
             return True  # the times do not show this if an NPC waits at its line and the other starts after the line

@@ -1,6 +1,6 @@
 """The kinds of instructions that an NPC can have."""
-# A kind is a frozen dataclass derived from Instruction with a field `speed`. It overrides what differs from the
-# defaults there. Source of Position-Instructions: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and
+# A kind is a frozen dataclass with a field `speed`. It is derived from Instruction and overrides the defaults that do
+# not suit it. Source of Position-Instructions: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and
 # 3.2.
 
 from __future__ import annotations
@@ -118,15 +118,14 @@ def repair_gene(
 ) -> tuple[Cell, ...]:
     """Return the cells that all NPCs execute in one gene."""
     # See section 2.1 of the paper. `existing` are the cells with a lane that exists now, and `previous` is None in the
-    # first gene. A coin is True to
-    # try the clockwise neighbour first. With `skipping`, for roads with few cells, a step skips cells that do not
-    # exist.
+    # first gene. If an NPC's coin is True, its clockwise neighbour is tried first. With `skipping`, for roads with few
+    # cells, a step skips cells that do not exist.
     #
     # A requested cell is executed if it is the previous cell or its ring neighbour, its lane exists, and no NPC with a
-    # smaller index occupies it. Otherwise the NPC gets one of the two neighbours of its previous cell by its coin, or
-    # the one that is free. If neither is free, it stays. In the first gene it gets the free cell nearest to the
+    # smaller index occupies it. Otherwise, the NPC gets the neighbour of its previous cell that its coin selects, or
+    # the one that is free. If neither is free, it stays. In the first gene, it gets the free cell nearest to the
     # requested one. The first complete assignment in order of preference is used, so the cells are distinct and the
-    # result is a fixed point. An assignment always exists: all NPCs stay.
+    # result is a fixed point. An assignment always exists, because all NPCs can stay.
     #
     # Most genes can be executed as requested. This check saves the search for an assignment.
     wanted = set(requested)
@@ -145,8 +144,8 @@ def repair_gene(
     assignment = _assigned(preferences, ())
     if assignment is None:
         raise ValueError(
-            f"expected a free cell for each NPC, received {len(requested)} NPCs for {len(existing)} existing cells; "
-            "use fewer NPCs or more lanes"
+            f"expected a free cell for each NPC, received {len(requested)} NPCs for {len(existing)} existing cells. "
+            "Use fewer NPCs or more lanes"
         )
     return assignment
 
@@ -253,9 +252,9 @@ class Instruction(Pasteable, ABC):
     __slots__ = ()
 
     on_grid: ClassVar[bool] = False
-    # Has a `cell`, to which the rules of the ring apply and in which the NPC starts.
+    # True if it has a `cell`, in which the NPC starts and to which the rules of the ring apply.
     crosses: ClassVar[bool] = False
-    # Has a `zone`; it is then the only instruction of its NPC, and has no duration.
+    # True if it has a `zone`. It is then the only instruction of its NPC, and has no duration.
     least_speed: ClassVar[float] = 0.0
     goal_kind: ClassVar[str]
     speed: float
@@ -284,7 +283,7 @@ class Instruction(Pasteable, ABC):
 
     @property
     def short(self) -> str:
-        # In the text of a scenario: `left@20`.
+        # As in the string of a scenario, for example `left@20`.
         return f"{self.target}@{self.speed:g}"
 
     @abstractmethod
@@ -327,7 +326,7 @@ class Instruction(Pasteable, ABC):
     # Shrinking.
 
     def moves(self, before: Any) -> int:
-        # The number of moves after `before`; staying is simpler.
+        # The number of moves that this instruction adds after `before`. Fewer are simpler.
         return 0
 
     @property
@@ -363,7 +362,7 @@ class Instruction(Pasteable, ABC):
         return f"{self.words(apart)} {self.speed:.1f} m/s {end}"
 
     def lasting(self, later: Any) -> int | None:
-        # The number of lanes by which this lane change leads to the right; None unless `later` continues it.
+        # The number of lanes by which this lane change leads to the right, or None if `later` does not continue it.
         return None
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
@@ -605,7 +604,7 @@ LARGEST_SLOT = 5.0
 # The pattern of a zone's name: the names of an entry node and an exit node of the road network.
 ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 
-# Steps of a slot in shrinking, in tenths of a second.
+# The steps to which shrinking rounds a slot, in tenths of a second.
 SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)  # slots of NPCs that cross in small scenarios [s]

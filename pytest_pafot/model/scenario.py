@@ -34,12 +34,12 @@ PAPER_SPEED_LIMIT = 26.8  # the speed limit on the paper's motorway, 60 mph [m/s
 # [m/s]; the duration of an instruction, as in the paper [s].
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
 
-# The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer.
+# The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit in a C integer.
 LONGEST_GENE = 86400.0
 
 MAX_SEED = 2**63 - 1
 
-# The fix that messages give for a chain with a cell that is no ring neighbour of the previous cell.
+# The fix that messages suggest for chains with invalid cells.
 REPAIR = "use Scenario.repaired(...) to make the chains valid"
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class Scenario(_Hashed):
 
     Attributes:
         npcs: one chain for each of one to eight NPCs. After its last gene, an NPC keeps its lane and speed (paper,
-            section 2). The NPC with the longest chain continues that gene.
-        seed: seed of all random choices in the run, from 0 to 2**63 - 1.
+            section 2). The NPC with the longest chain continues its last gene instead.
+        seed: seed of the package's random choices in the run, from 0 to 2**63 - 1.
         ego_lane: the ego's initial lane, from 0 at the left.
         ego_speed: initial speed [m/s] of the ego and of NPCs that do not cross. It is lower if a curve requires it.
         gene_seconds: duration [s] of a gene.
@@ -127,7 +127,7 @@ class Scenario(_Hashed):
     ) -> Scenario:
         """Make a scenario from chains, and repair invalid cells."""
         return cls(
-            # A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it.
+            # A cell is invalid if the NPC cannot reach it from the previous cell in one step, or if two NPCs occupy it.
             npcs=_repaired(npcs, seed),
             seed=seed,
             ego_lane=ego_lane,
@@ -189,7 +189,7 @@ class Scenario(_Hashed):
     @property
     def _beside_chains(self) -> list[Any]:
         traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic]
-        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # a list, as no other one is
+        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # the only list here
         return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
 
     @property
@@ -262,7 +262,7 @@ def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
 
 @lru_cache(maxsize=64)
 def _canonical(scenario: Scenario) -> str:
-    # A search needs this text of a scenario four times per run, for the crash record, the id and the row.
+    # A search needs this string four times per run, for the crash record, the id and the row.
     return f"[{scenario.chains_text},{encoded(scenario._beside_chains)[1:]}"
 
 
@@ -282,7 +282,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
     for npc, chain in enumerate(chains):
         is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
         if is_one_kind and (len(chain) == 1 or not chain[0].crosses):
-            continue  # the usual chains, in a fraction of the time
+            continue  # skips the slower checks for the usual chains
         if not chain:
             expected = "at least one instruction"
             raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
@@ -309,7 +309,7 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     found = []
     for npc, each in enumerate(vehicles):
         try:
-            found.append(VehicleType.of(each))
+            found.append(VehicleType.parse(each))
         except FieldError as error:
             name = "" if error.field == "vehicle" else f".{error.field}"
             raise ScenarioError(
@@ -342,7 +342,7 @@ def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]
 
 
 def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -> tuple[Chromosome, ...]:
-    """Return the chains with new targets in their first genes."""
+    """Return the chains with their first genes aimed at new targets."""
     return tuple(
         # Most targets are unchanged. Checking a new gene for each of them would take a tenth of a short run.
         (

@@ -41,7 +41,7 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     """The ego's box touched an NPC or a fixed object."""
     INVALID = "invalid"
-    """An NPC touched an NPC or an object, or the user's code failed or moved a vehicle impossibly."""
+    """An NPC touched another NPC or an object, or the user's code failed or moved a vehicle impossibly."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned an invalid action."""
     HANG = "hang"
@@ -139,7 +139,7 @@ class RoadOfRun:
 
     # Distances are in metres, positive to the right, and angles in rad. Arrays have the shape [vehicles, ticks + 1] or
     # [NPCs, ticks + 1] unless stated otherwise: with the long dimension innermost, numpy is about three times as fast.
-    # Replays compare results with saved files, so even the order of the operations must stay.
+    # Replays compare results with saved files, so even the order of the operations must stay the same.
 
     is_straight = True
 
@@ -320,7 +320,7 @@ class BentRoadOfRun(RoadOfRun):
         return np.where(lane < 0, np.minimum(half - np.abs(self._track[:, 0, OFFSET]), -1e-6), half)
 
     def numbers(self, vehicle: int) -> FloatArray:
-        # Lanes begin and end along the path, so they have no number.
+        # Lanes begin and end along the path, so they have no numbers.
         return np.full(len(self._states), -1.0)
 
     def counted(self, tick: int, vehicle: int) -> float:
@@ -461,7 +461,7 @@ class Trace:
 
     @property
     def decision_ticks(self) -> Sequence[int]:
-        """The ticks of the decisions, including a decision that failed."""
+        """The ticks at which decisions were made, including the tick of a decision that failed."""
         return self.decided or range(0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz))
 
     @property
@@ -485,7 +485,7 @@ class Trace:
     def way_of(self, npc: int) -> FloatArray:
         """Return an NPC's positions [m] along its crossing path, or raise a ValueError."""
         if self.on_way is None:
-            raise ValueError("on_way: expected a run in which an NPC crosses the ego's path, received no crossing NPC")
+            raise ValueError("on_way: expected a run in which an NPC crosses the ego's path, received another run")
         return self.on_way[:, npc]
 
     @property
@@ -523,15 +523,15 @@ QUANTITIES = (
 SURVIVES = "the cause is probably state that survives `start` or `reset`, or a random generator that these do not seed"
 
 
-def named(vehicle: int) -> str:
+def vehicle_name(vehicle: int) -> str:
     """Return the name of a vehicle for messages. Number 0 is the ego."""
     return f"NPC {vehicle - 1}" if vehicle else "the ego"
 
 
 def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:
-    """Return how two runs of one scenario first differ, or an empty string."""
+    """Describe the first difference between two runs of one scenario, or return an empty string."""
     # `within` is the largest difference of x and y that is ignored [m]. None requires equality to the last bit, and the
-    # result then names the cause.
+    # result then also states the likely cause.
     ticks = min(len(first.states), len(again.states))
     one, other = (each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1] for each in (first, again))
     with np.errstate(invalid="ignore"):  # inf - inf
@@ -543,7 +543,7 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
         return "" if within is not None or is_same else f"{ends[0]}, then {ends[1]}"
     tick, vehicle, column = np.argwhere(differs)[0].tolist()
     name, unit = QUANTITIES[column]
-    what = f"{name} of {named(vehicle)} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
+    what = f"{name} of {vehicle_name(vehicle)} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
     what = f"{what} after {first.times[tick]:.3g} s"
     if within is not None or not first.actions:
         return what

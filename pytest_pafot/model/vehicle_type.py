@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from pytest_pafot.support.errors import FieldError, plain_number
-from pytest_pafot.support.text import Pasteable
+from pytest_pafot.support.text import Pasteable, listed
 
 # The gap that an NPC adds to the smallest gap of its style when it drives to a position ahead of the ego [m].
 AMPLE = 1.0
@@ -142,7 +142,8 @@ class VehicleType(Pasteable):
             expected = f"a length of at least the width, {self.width:g} m"
             raise FieldError(field="length", expected=expected, received=f"{self.length:g} m")
         if READY.get(self.name, self) != self:
-            expected, fix = f"a name other than {', '.join(READY)}", f"for the built-in vehicle, write {self.name!r}"
+            expected = f"a name other than {listed([*READY], 'or')}"
+            fix = f"to use the built-in vehicle, write {self.name!r} instead of the VehicleType"
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -188,7 +189,7 @@ class VehicleType(Pasteable):
         return self.name.rpartition(" ")[2]
 
     @classmethod
-    def of(cls, given: Any) -> VehicleType:
+    def parse(cls, given: Any) -> VehicleType:
         """Return the vehicle for a name, or for a dict from :meth:`plain`."""
         if isinstance(given, VehicleType):
             return given
@@ -227,7 +228,7 @@ TRUCK = VehicleType(
     name="truck", length=12.0, width=2.55, acceleration=1.3, braking=7.0, lateral_acceleration=3.4, top_speed=25.0
 )
 
-# A motorcycle with SUMO's size, acceleration and braking. If the world has lower limits, as usual, these apply.
+# A motorcycle with SUMO's size, acceleration and braking. The limits of most worlds are lower and apply instead.
 MOTORCYCLE = VehicleType(name="motorcycle", length=2.2, width=0.9, acceleration=6.0, braking=10.0)
 
 READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYCLE)})
@@ -235,11 +236,11 @@ READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYC
 
 def _unpickled(plain: Any) -> VehicleType:
     # Not the class method itself: cloudpickle would send its code, and call it before the names in it are defined.
-    return VehicleType.of(plain)
+    return VehicleType.parse(plain)
 
 
 def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:
-    """Return a sequence of vehicles without the cars at its end."""
+    """Return the vehicles without the cars at the end of the sequence."""
     # Equal scenarios must have equal vehicles.
     count = len(vehicles)
     while count and vehicles[count - 1] == CAR:
@@ -248,9 +249,9 @@ def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...
 
 
 def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
-    """Return the distinct vehicles for one or several names or vehicles."""
+    """Return the vehicle types for one or several vehicles or names, without duplicates."""
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
-    found = tuple(dict.fromkeys(VehicleType.of(each) for each in several))
+    found = tuple(dict.fromkeys(VehicleType.parse(each) for each in several))
     if not found:
         raise FieldError(field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given))
     return found

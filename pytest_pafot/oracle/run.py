@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.mistakes import attributed, decided
+from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
@@ -26,11 +26,9 @@ from pytest_pafot.criticality.signals import (
     EgoSignals,
     NpcSignals,
     Signals,
-    SlotRequest,
     ego_lane_changes,
     headway,
     leader,
-    slot_requests,
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell, CrossingInstruction
@@ -86,7 +84,7 @@ class Check:
         return self.margin >= 0
 
     def __str__(self) -> str:
-        """Return the check in words, such as ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
+        """Return the check in words, such as ``jerk = 35.1 > 20 m/s^3 at 4.2 s``."""
         bound, sign = self.at_most, "<=" if self.holds else ">"
         if self.at_least is not None and (bound is None or self.value < self.at_least):
             bound, sign = self.at_least, ">=" if self.holds else "<"
@@ -95,7 +93,7 @@ class Check:
         held = f" {sign} {bound:g}" if is_told else ""
         when = "" if self.time is None else f" at {self.time:.1f} s"
         who = "" if self.npc is None else f" (NPC {self.npc})"
-        return f"{self.name} {_short(self.value, bound)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
+        return f"{self.name} = {_short(self.value, bound)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
@@ -158,7 +156,7 @@ def check(
         unit: unit of the value, such as ``"m/s^3"``.
         at: time [s] of the event; by default, the time of an array's worst value.
         npc: index of the NPC that the check is about. -1, as in ``run.leader``, means none.
-        scale: divisor [unit] of the margin, which makes checks comparable; by default the bound, or 1 for a bound of 0.
+        scale: divisor [unit] that makes margins comparable; by default, the bound, or 1 if the bound is 0.
 
     Raises:
         CheckFailed: if a bound is broken.
@@ -275,8 +273,8 @@ BACKWARDS = 0.5
 NEAR_SPEED = 0.5
 # The largest number of rows in an explanation's table of genes.
 MAX_GENE_ROWS = 5
-# The wordings of that table, from the longest: the text before an arrival time (no time if there is no room for it),
-# and whether to name the side from which an NPC enters the ego's lane.
+# The wordings of that table, the longest first. Each has the text before an arrival time, which is empty if there is no
+# room for the time, and whether to name the side from which an NPC enters the ego's lane.
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", after which a vehicle reached the end of the road",
@@ -347,7 +345,7 @@ class Run:
 
     @property
     def off_road(self) -> bool:
-        """True if the ego's centre was off the road at any tick."""
+        """True if the ego's centre was ever off the road."""
         return self.trace.off_road_tick is not None
 
     @property
@@ -357,7 +355,7 @@ class Run:
 
     @property
     def max_decision_time(self) -> float:
-        """The longest wall-clock time [s] of a decision. It is not reproducible."""
+        """The longest wall-clock time [s] of a valid decision. It is not reproducible."""
         return self.trace.max_decision_seconds
 
     # How dangerous it was for the ego: over all ticks and NPCs.
@@ -387,7 +385,7 @@ class Run:
 
     @cached_property
     def hardest_brake(self) -> float:
-        """The ego's largest deceleration [m/s^2], as a positive number; 0 if it never slowed down."""
+        """The ego's largest deceleration [m/s^2]; 0 if it never slowed down."""
         return criticality.hardest_brake(self.trace)
 
     # What happened at each tick.
@@ -426,8 +424,8 @@ class Run:
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
-        """Return the signal that a function computes from the trace, or only its column for an NPC."""
-        return self._signals.of(function, npc)
+        """Return the signal that a function computes from the trace, or its row for one NPC."""
+        return self._signals.values_of(function, npc)
 
     def to_pandas(self) -> DataFrame:
         """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``."""
@@ -446,10 +444,10 @@ class Run:
     @cached_property
     def attribution(self) -> Attribution:
         """The responsible side, with the decisive time and the reasons."""
-        found = attributed(self.trace)
+        found = attribute_collision(self.trace)
         if found.contested is not None:
             with suppress(DriverError):  # `run.takeover` raises it
-                return decided(found, self.takeover)
+                return decide_contested(found, self.takeover)
         return found
 
     @cached_property
@@ -462,7 +460,7 @@ class Run:
 
     @property
     def responsibility(self) -> Responsibility | None:
-        """The side that is responsible for the collision: ``"ego"``, ``"npc"``, ``"both"`` or None."""
+        """The side responsible for the collision: ``"ego"``, ``"npc"``, ``"both"`` or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
@@ -472,7 +470,7 @@ class Run:
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
-    # The moment that the run is about.
+    # The most important moment of the run.
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
@@ -530,11 +528,6 @@ class Run:
         along, (enters, leaves) = on_way[event.tick, event.npc], zone.npc
         where = "before" if along < enters else "past" if along > leaves else "in"
         return f"{zone.whence} {where} the zone {zone.way}"
-
-    @cached_property
-    def asked(self) -> tuple[SlotRequest, ...]:
-        """The requested and the actual time gaps of crossing NPCs at their conflict zones."""
-        return slot_requests(self.trace)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -604,7 +597,7 @@ class Run:
     def _headline(self) -> str:
         hit = self.collision
         if hit is not None:
-            other = "" if hit.npc is None else f": {hit.ego_speed:.1f} against {hit.npc_speed:.1f} m/s"
+            other = "" if hit.npc is None else f" (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
             return f"{self.impact}{other}"
         if self.ads_error is not None:
             who = "ADS" if self.ads_error.is_of_ads else "environment"
@@ -690,7 +683,7 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 
 def _passed(passage: Passage | None) -> str:
-    # The time at which the NPC passed the zone. "it" is the ego, which the instruction in the same line names.
+    # The time at which the NPC passed the zone. "it" is the ego, which the instruction on the same line mentions.
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
@@ -707,7 +700,7 @@ def _passed(passage: Passage | None) -> str:
 
 def _gene_table(trace: Trace, room: int) -> list[str]:
     # A row per gene and a column per NPC, for the last genes that started. A gene in which all NPCs continue shares the
-    # row of the gene before. Times are in seconds.
+    # row of the previous gene. Times are in seconds.
     scenario, seconds = trace.executed, trace.executed.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     if not npcs:

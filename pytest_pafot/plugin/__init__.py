@@ -68,6 +68,8 @@ def pytest_configure(config: pytest.Config) -> None:
     ):
         config.addinivalue_line("markers", line)
     config.stash[SESSION] = Session()
+    corpus = config.getoption(BY_NAME["corpus"].key)
+    config.stash[SESSION].options += [] if corpus is None else [flag("corpus", corpus)]
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
         from pytest_pafot.plugin.distributed import KEY, Worker  # noqa: PLC0415

@@ -51,7 +51,7 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
-        """Store the saved scenarios that the first workers collected, so that later workers collect the same."""
+        """Store the saved scenarios that the first workers collected, so that later workers collect the same ones."""
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # With --dist=loadgroup, pytest-xdist appends the name of the group.

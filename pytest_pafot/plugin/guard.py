@@ -93,15 +93,20 @@ class Guard:
         """Fail a session with lost tests, after all items have run and all pytest-xdist workers have reported."""
         result = yield
         self._is_whole = True
+        why = f"This is an error because {self.cause}"
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
-            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark ({self.cause}):"
-            _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED.partition(". ")[2])
+            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark: {first(unnamed)}"
+            _report(session, UNNAMED_ID, counted, f"{WHY_UNNAMED.partition('. ')[2]}. {why}")
         self._note_left()
         if fails := self._session.fails:
-            way_out = f"{self.cause}; allow it with {BY_NAME['allow_orphans'].flag}"
-            counted = f"this session did not run {plural(len(fails), 'saved scenario')} ({way_out}):"
-            _report(session, ERROR_ID, f"{counted} {first(fails)}", ADVICE)
+            counted = f"this session did not run {plural(len(fails), 'saved scenario')}: {first(fails)}"
+            _report(
+                session,
+                ERROR_ID,
+                counted,
+                f"{ADVICE}. {why}. To run only some of them, add {BY_NAME['allow_orphans'].flag}",
+            )
         return result
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
@@ -109,7 +114,7 @@ class Guard:
         """Reject an exit code of 0, for example from ``pytest.exit(returncode=0)``, if a policy failed."""
         inventory = self._config.stash[INVENTORY]
         if not self._is_whole and session.exitstatus in ENDS:
-            with self._session.faults("the check for saved scenarios that were not run"):
+            with self._session.faults("pafot: saved scenarios that were not run are unknown"):
                 self._note_left()
         unended = sorted(inventory.driven - self._ended)
         # If the session runs no policy, its hooks may hide failures of tests.
@@ -120,8 +125,8 @@ class Guard:
         what = "did not finish" if unended else "failed"
         session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
         self._session.problems.append(
-            f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. It "
-            f"ends with exit code {int(session.exitstatus)} instead ({self.cause}). Does a test call "
+            f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. "
+            f"Because {self.cause}, it ends with exit code {int(session.exitstatus)} instead. Does a test call "
             "pytest.exit(returncode=0), or does a plugin implement pytest_runtest_protocol?"
         )
 
@@ -190,7 +195,8 @@ class Guard:
             if not is_saved or (may_be_copy and (name_within(file.name) or file.name, test) in copies):
                 continue
             owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
-            # The rootdir of the session that saved the file, from the name of the test. A vendored project has its own.
+            # The rootdir of the session that saved the file, which the name of the test implies. Vendored projects have
+            # their own.
             project = next((each for each in owner.parents if name and each / name == owner), top)
             is_asked_for = project == top or any(each.is_relative_to(project) for each in (*own, *asked))
             if is_asked_for or not any(os.path.lexists(project / each) for each in _CONFIGURED):
@@ -238,7 +244,7 @@ def _files_below(
                     problems.append(refusal(file))
                     yield file, True
     if queue:
-        problems.append(f"the list of saved scenarios may be incomplete: it covers only {MAX_FOLDERS:,} folders")
+        problems.append(f"the list of saved scenarios may be incomplete, as it covers only {MAX_FOLDERS:,} folders")
 
 
 def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:

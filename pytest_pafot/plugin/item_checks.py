@@ -40,7 +40,7 @@ from pytest_pafot.searches.options import BY_NAME, is_ci
 from pytest_pafot.searches.request import AgainstError, Request, check_names, checked_request
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.process import REPLACED
-from pytest_pafot.support.text import meant, visible, wrapped_to
+from pytest_pafot.support.text import suggest, visible, wrapped_to
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 IDLE = "replay only"
@@ -92,7 +92,7 @@ class Checks:
         if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
             reason = visible(str(getattr(call.excinfo, "value", "")))
             if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
-                text = f"{base_id(item)} was skipped, so its policy was not tested: {reason}"
+                text = f"the policy of {base_id(item)} was not tested, because the test was skipped: {reason}"
                 messages.send(item, Note(text, "warning"))
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
@@ -127,7 +127,7 @@ def _check_function(item: pytest.Item) -> None:
     if not asserts_run(inspect.unwrap(item.obj)):
         raise RequestError(
             "expected a test whose assertions run, but Python skips them with -O or PYTHONOPTIMIZE. pytest does not "
-            "rewrite this test, because of --assert=plain or because the test is from another module. Run Python "
+            "rewrite this test, because --assert=plain is set or because the test is from another module. Run Python "
             "without -O and PYTHONOPTIMIZE"
         )
 
@@ -159,7 +159,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
 
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
-    hint = meant(name, available) or "."
+    hint = suggest(name, available) or "."
     text = (
         f"the fixture {name!r}, which must return the policy's factory, was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"
@@ -302,7 +302,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
         name = getattr(positional[0], "__name__", "")
         example = "runs=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
         raise RequestError(
-            f"@pafot.search: expected keyword arguments only, received {positional!r:.200}. Write the argument's name, "
+            f"@pafot.search: expected only keyword arguments, received {positional!r:.200}. Write the argument's name, "
             f"as in @pafot.search({example})"
         )
     check_names(given)

@@ -39,7 +39,7 @@ def packed(value: object) -> str:
 
 
 def send(item: pytest.Item, event: Event, **more: Any) -> None:
-    """Send an event of a running item to the controller, with more JSON-compatible data."""
+    """Send an event of a running item to the controller, with additional JSON-compatible data."""
     report = report_on(item, PHASE, pafot=(type(event).__name__, packed(event), more))
     item.ihook.pytest_runtest_logreport(report=report)
 
@@ -87,7 +87,7 @@ class OfOneRun:
 
     properties: Properties  # of the item
     _shown: list[tuple[str, Any]] = field(default_factory=list)  # from the last call, also in `properties`
-    # by trace, because a run may be replaced by one with more facts, but the same trace
+    # by trace, because a run may be replaced by one with the same trace and more facts
     _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
 
     @contextmanager
@@ -156,7 +156,7 @@ _COLOUR = re.compile("\x1b\\[[0-9;]*m")
 
 
 class KeptOutput:
-    """The start and the end of the captured output of an item."""
+    """The start and the end of an item's captured output."""
 
     def __init__(self, item: pytest.Item) -> None:
         self._item = item
@@ -239,12 +239,12 @@ def _shorten_output(report: pytest.TestReport) -> None:
 
 
 def _shortened(begin: str, end: str, left_out: int) -> str:
-    line = f"[{left_out} characters of output are omitted; run pytest -s without workers to see the complete output]"
+    line = f"[{left_out} characters of output are omitted. Run pytest -s without workers to see the complete output]"
     return f"{begin}\n{line}\n{end}"
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
-    """Count an item with an accepted failure as failed if it fails in a different way."""
+    """Count an item as failed if its failure differs from the accepted one."""
     is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
     # The mark xfail would also accept an error in a fixture or in the factory.
     is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash

@@ -13,7 +13,7 @@ from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
-from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
+from pytest_pafot.findings.finding import SAME_TIME, Finding, signature_of_failure, unhandled
 from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
@@ -23,7 +23,7 @@ from pytest_pafot.plugin.search_item import exception_for_pytest, harness_of, wa
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.searches.events import Note
 from pytest_pafot.searches.harness import Cause, SetupFaultError, cause_of, headline
-from pytest_pafot.searches.replays import Replays, event_change, happened
+from pytest_pafot.searches.replays import Replays, describe_result, event_change
 from pytest_pafot.searches.request import Request
 from pytest_pafot.searches.store import cause
 from pytest_pafot.support.errors import RequestError, flag
@@ -63,7 +63,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         line = f"the process (pid {raised.pid}) that ran this scenario {raised.end}"
     else:
         run, verdict = now.ran
-        line, happening = headline(run, verdict) if verdict.failed else "", happened(finding, run, verdict.failure)
+        line, happening = (
+            headline(run, verdict) if verdict.failed else "",
+            describe_result(finding, run, verdict.failure),
+        )
     # The mark xfail of the item accepts every exception, so the report must know that this one is not accepted.
     if now.beyond:
         item.stash[NOT_ACCEPTED] = now.beyond
@@ -75,7 +78,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding.xfail is not None and not now.fails:
         # A flaky scenario stays accepted, because it may have passed by chance.
         if not now.is_unsteady:
-            _add_section(item, [f"{sighting.label}: remove the line `xfail:` from {sighting.path}"])
+            _add_section(item, [f"It did not fail ({sighting.label}). Remove the line `xfail:` from {sighting.path}"])
         elif now.is_accepted:
             pytest.xfail(f"{visible(finding.xfail)}; flaky: it passed this time")
     if not now.fails or raised is None:
@@ -88,14 +91,14 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 
 def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
     """Describe the differences between a replay and the file, and the reference's result."""
-    reference = "" if now.reference_passes is None else f", which {'passes' if now.reference_passes else 'fails'}"
-    name = replays.harness.against_name
-    notes = [f"compared with {name}{reference}" if name else ""]
+    name, reference = replays.harness.against_name, now.reference_passes
+    outcome = {None: "compared with {}", True: "the reference {} passes", False: "the reference {} fails"}[reference]
+    notes = [outcome.format(name) if name else ""]
     if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
         missed = "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
         return "; ".join(filter(None, [missed, replays.changes(finding, happening), *notes, now.note]))
     if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
-        notes.append(f"worse: {now.verdict.worsening}")
+        notes.append(f"it became worse: it {now.verdict.worsening}")
     # A collision with the same vehicle is the same failure at any time, so the note states the new time.
     is_first = now.fails and not now.is_later and now.rate is None
     if is_first and now.run is not None and abs(now.run.event_time - finding.expect.time) > SAME_TIME:
@@ -109,7 +112,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     cause, finding = cause_of(run, verdict), saved.finding
     if cause is None or verdict.failure is None or finding is None:
         return
-    if of_failure(run, verdict.failure) == finding.signature:  # this is the saved failure
+    if signature_of_failure(run, verdict.failure) == finding.signature:  # this is the saved failure
         return
     key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
     line = ascii_text(headline(run, verdict))
@@ -141,10 +144,10 @@ def _send(
     sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")
-    # From that day, the item fails again. The warning reminds the user of the reason.
+    # After the last day, the item fails again. The warning reminds the user of the reason.
     if finding.xfail is not None and not replays.accepts(finding):
         over = (
-            f"{path}: the failure was accepted ({finding.accepted}), but that day has passed. Correct the policy, "
+            f"{path}: the failure is no longer accepted ({finding.accepted}). Correct the policy, "
             "write a later day, or remove the line `xfail:`"
         )
         messages.send(item, Note(over, "warning"))
@@ -167,9 +170,8 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
     if label == "drifted" and is_strict:
-        pytest.fail(
-            f"the saved scenario passes, but its run drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
-        )
+        text = f"the saved scenario passes, but its run drifted, and {flag('strict_drift')} is set: {visible(detail)}"
+        pytest.fail(text, pytrace=False)
     if verdict.kind == "invalid":
         pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested")
 
@@ -197,6 +199,8 @@ class Stopping(Around):
 def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> None:
     """Run a saved scenario twice, and start the debugger in the decision that could have avoided the failure.
 
+    If the scenario passes, no debugger starts, and the summary has a note.
+
     Raises:
         RequestError: if there is no such decision, or no terminal for a debugger.
     """
@@ -208,11 +212,14 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
         raise RequestError(f"{name}: expected a policy that decides, received a vehicle class without decisions")
     if finding.expect.is_crash:
         raise RequestError(
-            f"{name}: expected a policy that drives, but its process dies in this scenario. See its output"
+            f"{name}: expected a policy that survives this scenario, but its process dies. See its output"
         )
     world = replace(replays.world_of(saved), hang_limit=ANY_TIME)  # type: ignore[type-var]
-    run, _ = replays.tried(saved, world, item.nodeid)
     # The first run finds the decision. The second one stops there, without a time limit.
+    run, verdict = replays.tried(saved, world, item.nodeid)
+    if not verdict.failed:
+        messages.send(item, Note(f"{name} did not start a debugger, because the saved scenario {saved.id} passes"))
+        return
     number = deciding(run, finding.expect)
     if number is None:
         raise RequestError(
@@ -222,6 +229,6 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     npc = vehicle_of(run, finding.expect)
     where = "" if npc is None else f": NPC {npc} is {seen_of(run.trace, npc, number)}"
     time = run.trace.decision_ticks[number] / run.trace.physics_hz
-    header = f"pafot: decision {number} at {time:.1f} s{where}; type s to step into the policy"
+    header = f"pafot: decision {number} at {time:.1f} s{where}. Type s to step into the policy"
     ads = wrap_ads(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
     GENERATORS.run(world.rollout, finding.scenario, ads)

@@ -38,7 +38,7 @@ from pytest_pafot.support.text import ascii_text
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable with the path of the summary file in GitHub Actions."""
 QUICK, REST = 0.1, 10
-"""The duration [s] above which a write of the JSON file is slow, and the pause after it, in such durations."""
+"""A write of the JSON file is slow above ``QUICK`` [s]. The pause after it lasts ``REST`` times as long."""
 
 
 class Files:
@@ -63,23 +63,23 @@ class Files:
         self._session.exit = exit_code(session)
         target, asked = value_if_right(self._config, "report"), self._config.getoption(BY_NAME["report"].key)
         if target is not None and (self._session.seen or self._session.ended):
-            with self._session.faults(f"{flag('report', target)}: not written"):
+            with self._session.faults(f"{flag('report', target)}: the page was not written"):
                 self._write_page(target)
         elif asked and not self._is_listed:
-            problem = f"{flag('report', asked)}: not written, because neither a search nor a replay ran"
+            problem = f"{flag('report', asked)}: the page was not written, because neither a search nor a replay ran"
             self._session.problems.append(problem)
         self.write_json()
         path, of = os.environ.get(SUMMARY), self._session
         if not path or self._is_listed or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left)):
-            return  # A session without anything to report imports no modules for it.
-        with of.faults(f"the summary in {SUMMARY}"):
+            return  # No modules are imported for an empty summary.
+        with of.faults(f"{SUMMARY}: the summary was not written"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path
             text = markdown(of, page=asked or "")
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
-            of.problems += [f"{SUMMARY}={path}: not written: {problem}"] if problem else []
+            of.problems += [f"{SUMMARY}={path}: the summary was not written: {problem}"] if problem else []
 
     def _write_page(self, target: str) -> None:
         from pytest_pafot.report.page import render_page  # noqa: PLC0415
@@ -89,8 +89,8 @@ class Files:
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
         problem = not_written(self._config, target, path.parent, lambda: write_whole(path, page.encode()))
-        lines = self._session.problems if problem else self._session.written
-        lines.append(f"{flag('report', target)}: not written: {problem}" if problem else f"report: {target} ({told})")
+        lines, name = self._session.problems if problem else self._session.written, flag("report", target)
+        lines.append(f"{name}: the page was not written: {problem}" if problem else f"report: {target} ({told})")
 
     def write_json(self) -> None:
         """Write the JSON file, except shortly after a slow write during the session."""
@@ -111,8 +111,8 @@ class Files:
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
         if is_over:  # Report a problem only once, at the end.
-            lines = self._session.problems if problem else self._session.written
-            lines.append(f"{flag('json', self._json)}: not written: {problem}" if problem else f"json: {self._json}")
+            lines, name = self._session.problems if problem else self._session.written, flag("json", self._json)
+            lines.append(f"{name}: the file was not written: {problem}" if problem else f"json: {self._json}")
 
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
@@ -195,12 +195,12 @@ class Reporter:
             self._take_phase(report)
             self._live.erase_progress()
             if report.failed and report.when == "call":
-                with self._record.faults(f"the report on {report.nodeid}"):
+                with self._record.faults(f"{report.nodeid}: the failure was not described"):
                     self._show_block(report)
         result = yield
         if message is not None:
             self._take(report, *message)
-            # pytest stores every report until the session ends. Under the empty name are those without a result.
+            # pytest stores every report until the session ends, and reports without a result under the empty name.
             stored = getattr(self._live.writer, "stats", {}).get("", [])
             if stored and stored[-1] is report:
                 stored.pop()
@@ -289,9 +289,9 @@ class Reporter:
         self._live.erase_progress()
         # If an interrupt or a dead worker prevented the teardown of a search, its findings are still to be reported.
         for node_id in list(self._pending):
-            with self._record.faults(f"the report of the findings of {node_id}"):
+            with self._record.faults(f"{node_id}: the findings were not reported"):
                 self._expand(node_id)
-        with self._record.faults("the records of processes that died"):
+        with self._record.faults("the records of processes that died were not read"):
             if self._record.is_driven:
                 self._record.problems.extend(unclaimed(self._config))
 
@@ -302,7 +302,7 @@ class Reporter:
         said = (record.unnamed, record.left, record.notes, record.warnings, record.problems, record.written)
         if not any((record.is_driven, *said)):
             return
-        with own.faults("the summary of pytest-pafot"):
+        with own.faults("pafot: the summary was not printed"):
             from pytest_pafot.report import terminal  # noqa: PLC0415
 
             terminalreporter.section("pafot")

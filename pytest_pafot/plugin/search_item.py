@@ -71,7 +71,7 @@ OF_SUITE = "record_testsuite_property"
 OF_ONE_CALL = {
     "pytest_benchmark": "can be called only once in a test",
     "pytest_codspeed": "can be called only once in a test",
-    "syrupy": "numbers its snapshots by the calls in a test",
+    "syrupy": "numbers its snapshots across all calls in a test",
 }
 """Packages with fixtures that work in only one call of the test function, each with the reason."""
 
@@ -135,7 +135,7 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
         from pytest_pafot.execution import dask_cluster  # noqa: PLC0415  (few sessions need it)
 
         live = LiveTerminal(config)
-        connected = dask_cluster.connected(address, lambda text: live.write(["", f"pafot: {text}"]))
+        connected = dask_cluster.connect(address, lambda text: live.write(["", f"pafot: {text}"]))
         stack = ExitStack()
         config.add_cleanup(stack.close)
         try:
@@ -265,7 +265,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     if result.is_vacuous:
         _fail(item, "the search tested too little", summary.warnings)
     if summary.warnings and settings.strict_health:
-        _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
+        _fail(item, f"{flag('strict_health')} is set, and this search has warnings", summary.warnings)
 
 
 def exception_for_pytest(exception: BaseException) -> BaseException:

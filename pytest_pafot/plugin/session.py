@@ -25,7 +25,7 @@ from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Optio
 from pytest_pafot.support.errors import RequestError, flag
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
-"""The types of ini keys that are not strings, by the option's kind."""
+"""The types of ini keys that are not strings, by kind of option."""
 _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
 """A pattern for the value in pytest's error message about an ini key."""
 
@@ -138,7 +138,7 @@ def first(names: Sequence[str]) -> str:
 def cause_of(config: pytest.Config) -> str:
     """Return the reason why a session must fail if something was not tested, or an empty string."""
     strict = BY_NAME["strict_health"]
-    return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
+    return "CI is set" if is_ci(os.environ) else f"{strict.flag} is set" if value_if_right(config, strict.name) else ""
 
 
 def call_of(config: pytest.Config) -> list[str]:
@@ -167,7 +167,7 @@ def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
 
 
 def base_line(config: pytest.Config) -> str:
-    """Return a line with the base seed of searches, or an empty string without a search."""
+    """Return a line with the base seed of searches, or an empty string if there is no search."""
     try:
         settings = resolve(config, {})
     except RequestError as error:
@@ -188,7 +188,7 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
     counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
-    return counts and f"pafot: at most {counts}. Simplifying failures roughly doubles the number of decisions"
+    return counts and f"pafot: at most {counts}. Analysing failures roughly doubles the number of decisions"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
@@ -258,9 +258,9 @@ def exit_code(session: pytest.Session) -> int:
 
 
 def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Write a file with a function. If that fails, return the reason and a solution, otherwise an empty string.
+    """Call a function that writes a file. Return an empty string or, if the call fails, the reason and a solution.
 
-    ``name`` is the path as the user has written it.
+    ``name`` is the path as the user wrote it.
     """
     # A link below the rootdir may come from a repository, and lead anywhere.
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
@@ -271,7 +271,7 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
     except OSError as error:
         from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
-        return f"{error.strerror or error} ({way_out(error, 'or name another file')})"
+        return f"{error.strerror or error}. {way_out(error, 'or name another file')}"
     return ""
 
 

@@ -61,8 +61,8 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
 
     Args:
         command: program and arguments in a list, as for ``subprocess``, relative to the folder in which pytest runs.
-        keep: True if the program continues with the next scenario, False to restart it for each one. A program that
-            ended, hung or returned no valid line is always restarted.
+        keep: True to continue with the same program in the next scenario, False to restart it for each one. A program
+            that ended, hung or wrote a malformed line is always restarted.
         timeout: time [s] to wait for a line, after which the program is killed. By default, only the world's
             ``hang_limit`` ends the wait.
     """

@@ -113,7 +113,7 @@ class Sb3Policy:
         return found
 
     def __call__(self) -> BaselineAds:
-        """Return a new ADS, which has not received any observation."""
+        """Return a new ADS that has not received any observations."""
         return BaselineAds(self.loaded)
 
     def check_world(self, world: Any) -> None:
@@ -126,7 +126,7 @@ class Sb3Policy:
             of_model = f"observations {model.observation_space} and actions {model.action_space}"
             stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
             raise refused(
-                f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
+                f"a pafot.World with {of_model}{stacked}, as in the training of {self.file.name}",
                 _describe_world(world),
                 "use the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
             )
@@ -146,7 +146,7 @@ def _changed_at(file: Path) -> int:
 
 
 class BaselineModel:
-    """A loaded model, with the changes to observations that the wrappers of its training made."""
+    """A loaded model, with the changes that the wrappers of its training made to observations."""
 
     # `statistics` is a `VecNormalize` without its environments, or None.
     def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:

@@ -20,7 +20,7 @@ from pytest_pafot import LaneCommand, Observation
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.support.errors import refused_policy as refused
-from pytest_pafot.support.text import shown
+from pytest_pafot.support.text import safe_repr
 
 # The attributes of a `pytest_pafot.Observation` that the program receives as keys, in their order.
 SENT_ATTRIBUTES = (
@@ -30,7 +30,7 @@ SENT_ATTRIBUTES = (
 
 LONGEST_LINE = 1 << 20  # the longest line that a program may write [bytes]
 STDERR_IN_ERROR = 2000  # length of the end of stderr in the error of a program that has ended [bytes]
-STDERR_PRINTED = 4000  # bytes of the start, and also of the end, of a run's stderr that the session prints
+STDERR_PRINTED = 4000  # number of bytes from each end of a run's stderr that the session prints
 GRACE = 1.0  # time for a program to end on its own after its input was closed [s]
 SLICE = 0.2  # longest wait without a check of the time [s], for systems on which the hang limit cannot send a signal
 CHUNK = 1 << 16  # largest number of bytes to read from a pipe in one call
@@ -56,7 +56,7 @@ class ProgramLoader:
         if os.name != "posix":
             raise refused("a system with POSIX pipes, for process()", sys.platform, "run the tests on Linux or macOS")
         if self.timeout is not None and not (isinstance(self.timeout, (int, float)) and self.timeout > 0):
-            raise refused("a timeout above 0 [s], or None", repr(self.timeout), "use seconds, such as timeout=5")
+            raise refused("a timeout of more than 0 s, or None", repr(self.timeout), "use seconds, such as timeout=5")
 
     def __call__(self) -> ProgramAds:
         """Return a new ADS, with an idle program of this process or else a new program."""
@@ -142,7 +142,7 @@ def action_of(line: bytes) -> Any:
         answer = json.loads(line, object_pairs_hook=_without_repetition)
     # An echoed observation also has the keys acceleration and steering, so this check must be first.
     if isinstance(answer, dict) and "reset" in answer:
-        again = shown(line.decode("utf-8", "replace"))
+        again = safe_repr(line.decode("utf-8", "replace"))
         raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
     if isinstance(answer, dict) and "action" in answer:
         return answer["action"]
@@ -152,7 +152,7 @@ def action_of(line: bytes) -> Any:
         return answer["acceleration"], answer["steering"]
     raise BadAction(
         "expected a line of JSON with the keys acceleration and steering, or lane and speed, or lane and acceleration, "
-        f"or, in a pafot.World, action, received {shown(line.decode('utf-8', 'replace'))}"
+        f"or, in a pafot.World, action, received {safe_repr(line.decode('utf-8', 'replace'))}"
     )
 
 
@@ -257,7 +257,7 @@ class Program:
             self._raise_ended()
         self._buffer += part
         if len(self._buffer) > LONGEST_LINE:
-            begins = shown(bytes(self._buffer[:80]))
+            begins = safe_repr(bytes(self._buffer[:80]))
             raise BadAction(f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}")
 
     def _read_stderr(self) -> None:
@@ -311,7 +311,7 @@ class Program:
 
 def _extra_line(line: bytes) -> BadAction:
     return BadAction(
-        f"expected one line for each observation, received another: {shown(line)}; messages belong to stderr"
+        f"expected one line for each observation, received another: {safe_repr(line)}; messages belong to stderr"
     )
 
 

@@ -198,7 +198,7 @@ SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 # The data that the scripts read. Everything else is in the page as text.
 DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "ghost", "event", "check")
 
-INTERRUPTED = '<p class="warning">The session was interrupted. This report covers only what ran before.</p>'
+INTERRUPTED = '<p class="warning">The session was interrupted. This report covers only what had run by then.</p>'
 
 # The maximum number of findings that a page shows in full, the worst first. Each takes about 60 kB.
 WHOLE = 100

@@ -27,7 +27,7 @@ ADVICE = (
     "expected a test that replays each saved scenario. Was the test skipped, renamed, moved or deleted, or do "
     "testpaths, python_files, norecursedirs or a hook exclude it? "
     "If the test was renamed or moved, move the saved files to its folder MODULE/TEST in the corpus, and correct the "
-    "node id in the line `test:` of each file. If the test was deleted, delete the files"
+    "node id in the `test:` line of each file. If the test was deleted, delete the files"
 )
 WHY_UNNAMED = (
     "pytest does not collect it. Rename the test, its class or its file so that pytest collects it, or set __test__ to "
@@ -40,6 +40,7 @@ class Session:
 
     def __init__(self, **known: Any) -> None:
         self.exit: int | None = None  # pytest's exit code; None while the session runs
+        self.options: list[str] = []  # options that a replay of this session's files needs, too
         # For each node id of a new or replayed finding: the finding, the item that reported it, and its data for the
         # page, as compressed JSON because each takes half a megabyte.
         self.seen: dict[str, Seen] = {}
@@ -149,7 +150,7 @@ class Session:
     def command(self, seen: Seen, *words: str, name: str = "") -> str:
         """Return the command that runs a finding again, or its search if the finding was not saved."""
         if seen.path:
-            return rerun([*words, name or seen.path], os.environ, saved=seen.id)
+            return rerun([*words, *self.options, name or seen.path], os.environ, saved=seen.id)
         item = self.items.get(seen.node_id, "")
         search = self.searches.get(item)
         return rerun([*words, item], os.environ, *("" if search is None else search.options).split())

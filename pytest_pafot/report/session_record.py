@@ -15,14 +15,14 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.corpus.writer import named
+from pytest_pafot.corpus.writer import scenario_data
 from pytest_pafot.findings.finding import portable
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
-from pytest_pafot.report.terminal import FAILING, further, told
+from pytest_pafot.report.terminal import FAILING, describe_failure, where_to_see_more
 from pytest_pafot.searches.events import Search
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
@@ -38,7 +38,7 @@ NOT_WRITTEN = ("seconds", "process_notes")
 
 
 # For each key, its value if the file could not be read or run, and the function that returns it otherwise. The session
-# knows the values without a function.
+# supplies the values without a function.
 FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyType({
     "node_id": ("", lambda seen: seen.node_id),
     "id": ("", lambda seen: seen.id),
@@ -47,7 +47,7 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "result": ("", None),
     "file": (None, lambda seen: seen.path or None),
     "replay": ("", None),
-    "scenario": (None, lambda seen: named(seen.finding.scenario)),
+    "scenario": (None, lambda seen: scenario_data(seen.finding.scenario)),
     "world": (None, lambda seen: dict(seen.finding.world)),
     "headline": ("", lambda seen: seen.headline),
     "sentences": ([], lambda seen: list(seen.observed.sentences)),
@@ -100,10 +100,10 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         status: `new`; `no worse` if it does not count in a comparison with a reference; the label of a replay; or
             `error`. For `error`, only ids, `test`, `result`, `file`, `replay` and `detail` are known.
         result: `passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.
-        file: path relative to the rootdir; null if not saved.
+        file: path, relative to the rootdir if possible; null if not saved.
         replay: command that replays it.
         scenario, world: as in its file; null for `error`.
-        headline: how the run ended; empty if it passes.
+        headline: how the run ended; empty if it passed.
         sentences: sentences of the verdict on a collision.
         detail: differences from the file, why there is no file, or the error.
         signature: what identifies the same failure; null for `error`.
@@ -210,7 +210,7 @@ def markdown(session: Session, page: str = "") -> str:
 
     ``page`` is the path of the report page, or empty.
     """
-    where, rest = further(page)
+    where, rest = where_to_see_more(page)
     is_used = session.searches or session.seen or session.unread or session.left or session.problems
     return "\n".join(_lines(session, f"see {code(where)}{rest}")) + "\n" if is_used else ""
 
@@ -274,14 +274,14 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     if seen.headline and now.reference_passes is not None:
         parts.append("the reference passes" if now.reference_passes else "the reference also fails")
     worse = worsening(seen.severity, now.before) if now.before is not None else ""
-    parts += [f"worse: {plain(worse)}"] if worse else []
+    parts += [f"it became worse: it {plain(worse)}"] if worse else []
     parts += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     parts += [plain(seen.unshrunk), plain(seen.worst)]
     if finding.xfail is not None and seen.label == "accepted":
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
     yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
     is_pass = seen.result.startswith("passed")
-    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told(seen)[1:]))
+    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else describe_failure(seen)[1:]))
     missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
     yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"
 

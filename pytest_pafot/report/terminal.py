@@ -30,21 +30,21 @@ Event = Progress | Search | Seen | Note
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
-# If more time than this is left, a line of progress names the option that limits it [s].
+# If more time than this [s] is left, the progress line names the option that limits it.
 LONG = 600
 # The maximum number of lines in the block on a failure, at 80 columns and without the title.
 ROOM = 11
-# The names of the counts of random scenarios that failed.
+# The keys that count failed random scenarios.
 FAILING = ("at_fault", "otherwise")
-# The maximum numbers of items in lists: kinds of failures and new findings of a search, findings that a CI job
-# describes, saved scenarios that were not replayed, and replays that need attention.
+# The maximum lengths of lists: a search's kinds of failures, its new findings, findings that annotate a CI job, saved
+# scenarios that were not replayed, and replays that need attention.
 MAX_KINDS = 3
 MAX_FINDS = 20
 MAX_ANNOTATED = 5
 MAX_LEFT = 5
 MAX_REPLAYS = 10
-# Why a search ended early, as the end of a sentence, if the reason is known.
-WHY = {Ending.FINDINGS: "there were enough findings", Ending.REPLAYS: "it only replayed", Ending.ERROR: "of an error",
+# Why a search ended early, as the end of a sentence after "because". Unknown reasons are missing.
+WHY = {Ending.FINDINGS: "it had enough findings", Ending.REPLAYS: "it only replayed", Ending.ERROR: "of an error",
        Ending.INTERRUPTED: "it was interrupted", Ending.MAX_TIME: f"of {Ending.MAX_TIME}"}  # fmt: skip
 
 
@@ -80,14 +80,14 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 def found_line(seen: Seen) -> str:
     """Return the line that announces a new finding while the search continues."""
     expect = seen.finding.expect
-    kinds = {"collision": "a collision", "ads_error": "an error in the policy", "hang": "a decision that hung"}
+    kinds = {"collision": "a collision", "ads_error": "an error in the policy", "hang": "a hang in the policy"}
     what = kinds.get(expect.outcome, "a failure")
     if (expect.is_crash and expect.outcome is not Outcome.HANG) or expect.signature.is_property:
-        what = "a process that died" if expect.is_crash else "a failed check" if expect.check else "a failed assertion"
+        what = "a process crash" if expect.is_crash else "a failed check" if expect.check else "a failed assertion"
     return ascii_text(f"pafot: found {what}: {seen.node_id}{'' if seen.path else f', not saved: {seen.detail}'}")
 
 
-def told(seen: Seen) -> list[str]:
+def describe_failure(seen: Seen) -> list[str]:
     """Describe what happened, in the same words for all reports: headline, sentences and decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
     headline = seen.headline
@@ -127,9 +127,10 @@ def block_lines(
     """
     finding, moment, now = seen.finding, seen.moment, seen.observed
     runs = search.runs if search is not None and now.new else 0
-    first, *others = told(seen)
-    # Each text has a number. Texts with 0 must stay. Texts with the largest numbers are omitted first: the conditions
-    # in the policy's code, then its decision, then the actions of both vehicles.
+    first, *others = describe_failure(seen)
+    # Each text has a number. Texts with 0 must stay. Texts with the largest numbers are omitted first: a condition of
+    # several lines, the number of similar runs, which the summary repeats, the ego's actions, and then the policy's
+    # condition and decision.
     parts: list[tuple[int, str]] = []
     expect, message = finding.expect, next(iter(text.splitlines()), "").removeprefix("AssertionError: ")
     if expect.is_crash and text and seen.is_as_saved:  # A replay can fail in a different way than its file.
@@ -138,27 +139,30 @@ def block_lines(
     if place and message not in first and not seen.is_flaky:
         parts = [(0, f"{place}: {message}{f' ({expect.assertion})' if expect.assertion else ''}.")]
     parts += [(0, f"{'' if parts or not place else f'{place}: '}{first}")]
-    verdict, brief = now.sentences[-1:], moment and moment.brief
-    parts += [(0 if text in verdict else 6 if text == brief else 5, text) for text in others]
+    ranks = dict(zip(now.sentences[-2:][::-1], (0, 9), strict=False)) | ({moment.brief: 7} if moment else {})
+    parts += [(ranks.get(text, 5), text) for text in others]
     if moment is not None and is_whole:
         parts[-1] = 0, str(moment)
         parts += [(0, f"  {line}") for line in moment.condition_lines()]
     elif moment is not None:
-        parts += [(9, f"  {row}") for row in [row for _, group in moment.conditions for row in group][:1]]
+        # Without a difference, only a condition on this NPC is relevant. Others may be about an empty row, for example.
+        about = None if moment.otherwise or moment.reference else f"NPC {moment.npc}"
+        row = next((f"  {row}" for whom, group in moment.conditions if about in (None, whom) for row in group), "")
+        parts += [(11 if len(row) > WIDTH else 8, row)] if row else []
     parts += [(4, f"{capitalised(text)}.") for text in _remarks_on(seen)]
     parts += [(0, f"It was simplified {how}.") for how in shrunk_lines(finding) if is_whole]
     like = f"{1 + seen.alike.runs} of {runs} runs" if seen.alike.runs else "no other run"
     worst = capitalised(seen.worst) if seen.alike.runs or not seen.worst else f"The original run {seen.alike.severity}"
-    parts += [(2, f"{capitalised(like)} failed in the same way{worst and f'. {worst}'}.")] if runs > 1 else []
+    parts += [(10, f"{capitalised(like)} failed in the same way{worst and f'. {worst}'}.")] if runs > 1 else []
     parts += [(1, f"The reference {finding.expect.against} passes this scenario.")] if finding.expect.against else []
     if not now.new:
         parts.append((1, f"Result of the replay: {seen.label}{seen.detail and f' ({seen.detail})'}."))
     elif seen.detail:
         parts.append((0, f"The saved file {seen.detail}." if seen.path else f"It was not saved: {seen.detail}."))
     if now.beyond:
-        accepts = f"the line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {now.beyond}"
+        accepts = f"The line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {now.beyond}"
         way_out = "Correct the policy, or delete the file, search again and accept the new finding"
-        parts.append((0, f"The failure is not accepted: {accepts}. {way_out}."))
+        parts.append((0, f"The failure is not accepted. {accepts}. {way_out}."))
     while not is_whole and sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts) > ROOM - bool(again):
         spared = max(parts, key=lambda part: part[0])
         if not spared[0]:
@@ -177,7 +181,7 @@ def _remarks_on(seen: Seen) -> list[str]:
     # State that survives in the world is not a random generator of the policy.
     if flaky.startswith(NOT_REPEATED) and (has_wrappers or SURVIVES not in flaky):
         advice = DRAWS_IN_WRAPPERS if has_wrappers else DRAWS
-    return [text for text in (seen.remark, advice) if text]
+    return [text for text in (". ".join(map(capitalised, seen.remark.split("; "))), advice) if text]
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
@@ -192,7 +196,7 @@ def shrunk_lines(finding: Finding) -> list[str]:
 
 
 def event_of(kind: str, text: str) -> Event:
-    """Build an item's event from the name of its class and its JSON."""
+    """Build an event from the name of its class and its JSON."""
     kinds: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
     return from_plain(kinds[kind], json.loads(text))
 
@@ -229,16 +233,16 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     untested = listed([f"{kinds[kind]} {kind}" for kind in UNTESTED if kinds[kind]])
     several = [plural(search.runs, "run") + (f" ({untested})" if untested else "")]
     several += [f"{plural(more['known'], 'scenario')} with a known result"] if more["known"] else []
-    several += [f"{plural(count, 'run')} to simplify failures"] if (count := more["shrink"] + more["moment"]) else []
+    several += [f"{count} more to analyse failures"] if (count := more["shrink"] + more["moment"]) else []
     several += [f"{count:,} decisions"] if (count := search.decisions.total()) else []
     # A session may have hundreds of searches without a failure, so each of them takes only one line.
     is_quiet = evaluated and search.reason.is_complete and not (search.failing or finds or is_whole)
-    texts += [] if is_quiet else [f"It took {search.seconds:.1f} s for {listed(several)}"]
+    texts += [] if is_quiet else [f"{listed(several)} took {search.seconds:.1f} s"]
     if not search.reason.is_complete:
         made = {"generations": search.generations, "runs": search.runs}
         left = [f"{made[what]} of {most} {what}" for what, most in search.asked.items() if made[what] < most]
         because = f", because {WHY[search.reason]}" if search.reason else ""
-        texts.append(f"It ended early{', after ' if left else ''}{listed(left)}{because}")
+        texts.append(f"The search ended early{', after ' if left else ''}{listed(left)}{because}")
     folders = " and ".join(dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path))  # noqa: PTH120
     texts += [f"Saved in {folders}" + ". Commit the files" * (not os.environ.get(OF_SEARCH))] if folders else []
     texts += [f"Not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path)]
@@ -277,7 +281,7 @@ def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
 
 
 def against_lines(session: Session, width: int = WIDTH) -> list[str]:
-    """Count the failures that the policy introduces, fixes or shares, for each reference."""
+    """For each reference, count the failures that the policy introduces, that it fixes, and that both have."""
     lines: list[str] = []
     if session.incomparable:  # otherwise, the counts would be incomplete
         return lines
@@ -319,7 +323,8 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
         seeds = dict.fromkeys(f"pytest {flag('seed', each.base_seed)}" for each in session.ended if each.finds)
         again = f"{' or '.join(seeds)} repeats {'this search' if len(session.ended) == 1 else 'the searches'}"
-        lines += wrapped_to(f"pytest {flag('runs', 0)} replays the saved scenarios, and {again}.", width)
+        replay = " ".join(["pytest", *session.options, flag("runs", 0)])
+        lines += wrapped_to(f"{replay} replays the saved scenarios, and {again}.", width)
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
     for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
@@ -328,8 +333,8 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     return list(map(ascii_text, lines))  # escapes names and messages, so that each stays on one line
 
 
-def further(page: str) -> tuple[str, str]:
-    """Return a path or command that shows the remaining findings, and the end of a sentence about it."""
+def where_to_see_more(page: str) -> tuple[str, str]:
+    """Return a path or command that shows the remaining findings, and the words to print after it."""
     return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
 
 
@@ -341,14 +346,14 @@ def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
     worst = ranked(sightings)
     lines = []
     for sighting in worst[:MAX_ANNOTATED]:
-        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told(sighting))
+        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in describe_failure(sighting))
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
             for each in (sighting.node_id.partition("::")[0], sighting.id)
         )
         lines.append(f"::error file={file},title={title}::{text}")
     left = len(worst) - MAX_ANNOTATED
-    where, rest = further(page)
+    where, rest = where_to_see_more(page)
     where = where if page else f"`{where}`"
     text = ascii_text(f"{plural(left, 'more finding')}: see {where}{rest}").replace("%", "%25")
     return [*lines, f"::notice title=pafot::{text}"] if left > 0 else lines

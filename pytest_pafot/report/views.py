@@ -169,9 +169,9 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
 
 
-# In sentences about a check, times with a smaller difference count as equal [s].
+# Times that differ by less than this [s] count as equal in sentences about a check.
 LITTLE = 0.05
-# The approximate number. The page interpolates between frames.
+# This number is approximate, because the page interpolates between frames.
 FRAMES_PER_SECOND = 7
 
 
@@ -336,7 +336,7 @@ def _assertion(expect: Expect) -> str:
 
 
 def frame_ticks(trace: Trace) -> list[int]:
-    """Return the ticks of a run's frames: about seven per second, the last one, and the collision."""
+    """Return the ticks of a run's frames: about seven per second, the last tick, and the tick of the collision."""
     stride = max(1, round(trace.physics_hz / FRAMES_PER_SECOND))
     ticks = {*range(0, trace.ticks + 1, stride), trace.ticks}
     if trace.collision is not None:
@@ -346,7 +346,7 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
     # The ego first. Most values have one entry per frame. In `cells`, 0 is the ego's own cell, and None means that the
-    # NPC is not on the ego's path. `advantage` is the expected time between the two at their conflict zone.
+    # NPC is not on the ego's path. `advantage` is the expected time between the NPC and the ego at their conflict zone.
     encounters = Encounters(trace)
     gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
     along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
@@ -399,7 +399,7 @@ def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
 
 
 def zone_view(zone: Zone, length: float, width: float) -> View:
-    """Return the path of an NPC that has a length [m], and the area of its conflict zone, drawn with a width [m]."""
+    """Return the path of an NPC with this length [m], and the area of its conflict zone, drawn this wide [m]."""
     if not zone.line:
         return {"name": zone.way, "way": (), "area": (), "width": 0.0}
     # An NPC's centre is in the zone while any part of it may touch a vehicle there, so the area is shorter than the

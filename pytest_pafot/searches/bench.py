@@ -197,7 +197,7 @@ def left_out_text(world: BaseWorld) -> str:
     names = " and ".join(f"`{name}`" for name in methods)
     changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
     return (
-        f"runs do not call the environment's own {names}, which may change {changed}. If a run needs that, write "
+        f"runs do not call the environment's own {names}, which may change {changed}. If runs need this, write "
         "wrappers=[] in the pafot.World"
     )
 

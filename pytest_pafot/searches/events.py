@@ -58,7 +58,7 @@ class Ending(StrEnum):
 
     @property
     def is_complete(self) -> bool:
-        """True if the search made all requested runs."""
+        """True if the search completed all requested runs."""
         return self in (Ending.GENERATIONS, Ending.RUNS)
 
     @property
@@ -96,7 +96,8 @@ class Paired:
 
     def __str__(self) -> str:
         cut = " before the time ran out" if self.is_cut else ""
-        counts = f"{self.only_new} failed only with this policy, and {self.only_reference} only with the reference"
+        new, old = self.only_new or "none", self.only_reference or "none"
+        counts = f"{new} failed only with this policy, and {old} only with the reference"
         return f"of {plural(self.runs, 'random scenario')}{cut}, {counts}"
 
 
@@ -108,7 +109,7 @@ class Search:
 
     Attributes:
         node_id: node id of the item, as for a finding.
-        reason: why the search ended; empty if it did not start, or ended early.
+        reason: why the search ended; empty if it did not start, or if the reason is unknown.
         algorithm: name of the algorithm.
         base_seed, seed: the value of `--pafot-seed` that repeats the search, and the seed of the search.
         generations: number of completed generations.
@@ -186,11 +187,11 @@ class Search:
         if self.paired is None:
             return ""
         if self.paired.is_worse:
-            how = f"worse than {self.against}"
+            how = f"this policy is worse than {self.against}"
         elif self.finds:
             how = f"random scenarios do not show whether the new policy is worse than {self.against}"
         else:
-            how = f"no worse than {self.against}"
+            how = f"this policy is no worse than {self.against}"
         return f"{how}: {self.paired}"
 
     @property
@@ -201,7 +202,7 @@ class Search:
 
 
 def by_test(searches: Iterable[Search]) -> dict[str, Search]:
-    """Return searches by the node ids of their tests."""
+    """Map the node ids of tests to their searches."""
     return {name_without(SEARCH_PART, search.node_id): search for search in searches}
 
 
@@ -226,7 +227,7 @@ class SearchStarted:
 
 SearchEvent = SearchStarted | Seen | Progress | Search | Event
 
-# A function that receives the events of a search, one by one in their order.
+# A function that receives the events of a search, one by one in order.
 Listener = Callable[[SearchEvent], None]
 
 

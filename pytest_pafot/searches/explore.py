@@ -19,7 +19,7 @@ from pytest_pafot.algorithms.fitness import resolve
 from pytest_pafot.algorithms.plan import Algorithm
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
-from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
+from pytest_pafot.findings.finding import Finding, ads_failure, event_of, signature_of_failure
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.oracle.run import Run
@@ -65,7 +65,7 @@ class Exploration:
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search, with runs, warnings and notes.
-        events: the events of the algorithm and of the search in order.
+        events: the events of the algorithm and of the search, in order.
         runs: a row for each scenario, with the columns of ``run_table.COLUMNS``, for ``pandas.DataFrame(...)``.
     """
 
@@ -93,9 +93,9 @@ def explore(
     on_event: Listener | None = None,
     **settings: Unpack[ExploreArguments],
 ) -> Exploration:
-    """Search for scenarios in which a property fails, without pytest.
+    """Search, without pytest, for scenarios in which a property fails.
 
-    A search with the same node id, base seed and arguments as a test has the same findings.
+    A search with the same node id, base seed and arguments as a test leads to the same findings.
 
     Args:
         ads: the factory, which is called once per run, a string ``module:factory[:argument]``, or a highway-env
@@ -144,7 +144,7 @@ def explore(
     if result.fault is not None:
         raise result.fault
     if result.is_vacuous and not result.count and request.settings.is_search:
-        told = "; ".join(result.summary.warnings)
+        told = " Also, ".join(result.summary.warnings)
         raise RequestError(f"{PLACE}: expected runs that test the policy, but {told}")
     findings = tuple(
         replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
@@ -255,7 +255,7 @@ class AlgorithmRun:
 # The number of scenarios in a generation of the paper's algorithm, and of a random search in a comparison.
 POPULATION = 4
 
-# The failure with which signatures of all collisions of an AlgorithmRun are made, even if its property accepts them.
+# The failure for the signatures of all collisions in an AlgorithmRun, including those that its property accepts.
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
 
 
@@ -264,7 +264,7 @@ def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
     hit, signature = run.collision, None
     failure = ads_failure(run) or (None if hit is None else COLLISION)
     if failure is not None:
-        found = of_failure(run, failure)
+        found = signature_of_failure(run, failure)
         # The string starts with readable words. Two strings are equal only if the signatures are equal.
         signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
     return run_table.note_of(run, verdict) | {

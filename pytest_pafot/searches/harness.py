@@ -36,12 +36,12 @@ from pytest_pafot.world.guard.hang_guard import UNFIT, exits, is_interruption, l
 from pytest_pafot.world.kernel.action import LaneCommand, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
 
-# The user's test function, to which all arguments except the run are already bound. It asserts, and returns None.
+# The user's test function, with all arguments except the run already bound. It asserts, and returns None.
 Test = Callable[[Run], Any]
 
 
 class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
-    """A failure without a traceback, because it would only show this package's code."""
+    """A failure without a traceback, which would show only this package's code."""
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:
@@ -146,7 +146,7 @@ def xfails() -> tuple[type[BaseException], ...]:
 
 
 def assertions() -> tuple[type[BaseException], ...]:
-    """Return the exception classes of violated properties."""
+    """Return the exception classes that a violated property raises."""
     pytest = sys.modules.get("pytest")
     return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
 
@@ -195,7 +195,7 @@ class SetupFaultError(Exception):
             asked = self.first_decision(
                 world,
                 policy,
-                of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
+                of_si='A policy for a highway-env environment needs world=pafot.World("highway-v0", config=...).',
                 of_env="A policy needs the config= and the wrappers= with which it was trained. A planner in SI units "
                 "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
             )
@@ -260,7 +260,7 @@ def unit_doubt(trace: Trace) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """The policy to which a search compares the tested policy, such as an earlier version."""
+    """A policy, such as an earlier version, with which a search compares the tested policy."""
 
     policy: Policy
     name: str  # the name in saved files; empty if no string can refer to the factory
@@ -310,8 +310,9 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
         if not files or _contents(files, others) != _contents(others, files):
             return ""
     return (
-        "expected a different policy, received one with the same name and the same files as the tested policy. Put "
-        "the earlier policy, with all its modules, into a package with a different name."
+        "expected a different policy, received one with the same name and the same files as the tested policy. If the "
+        "policy has not changed, skip the comparison. Otherwise, put the earlier policy, with all its modules, into a "
+        "package with a different name."
     )
 
 
@@ -353,7 +354,7 @@ class Harness:
     records: Path  # the folder of crash records
     root: Path  # the folder of the project; paths in messages are relative to it
     versions: dict[str, str]  # versions of the packages that affect a run
-    against: Reference | None = None  # the reference, which must pass a scenario so that a failure counts
+    against: Reference | None = None  # the reference, which must pass a scenario for a failure to count
     cluster: Cluster | None = None  # the workers on other machines that run scenarios, if any
     # True if the run is the only argument of the test function, so that forked processes can call it, too
     needs_only_run: bool = False
@@ -455,8 +456,8 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
     if not callable(given):
         hint = hint_at_object(given)
         raise RequestError(
-            f"expected the fixture {name!r} to return a factory (a function that makes a new ADS for each scenario), "
-            f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
+            f"expected the fixture {name!r} to return a factory, which makes a new ADS for each scenario, such as "
+            f"`lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
 

@@ -30,7 +30,7 @@ PAIRS = 700  # the largest number of random scenarios that both policies run
 
 @dataclass(slots=True, kw_only=True)
 class MadeWorse:
-    """The decision on whether the new policy is worse. Its findings count only if it is."""
+    """The comparison of the new policy with its reference. Findings count only if the new policy is worse."""
 
     state: State  # the state of a search that has a reference
     bench: Bench
@@ -49,7 +49,7 @@ class MadeWorse:
         results = bench.results(ahead, self.state, fatal.__contains__)
         with bench.runner, suppress(OutOfTime):
             for scenario in scenarios:
-                yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {PAIRS}", "comparison")
+                yield Phase(f"comparing policies in random scenario {self.paired.runs + 1} of {PAIRS}", "comparison")
                 with runs_end_in(self.end - self.state.clock()):
                     new, old = (False, False) if scenario in fatal else (yield from self._fail(next(results)))
                 self.paired = self.paired.with_run(new=new, old=old)

@@ -49,8 +49,8 @@ class Option(NamedTuple):
     most: float = SEED_LIMIT - 1  # the largest accepted whole number
     choices: tuple[str, ...] = ()  # the accepted strings; empty if any string is accepted
     or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
-    everywhere: bool = True  # False if it applies to a single session, so that it is only on the command line
-    is_argument: bool = True  # False for an option of the whole session, which is no argument of the mark
+    everywhere: bool = True  # False if it applies to a single session, so that only the command line accepts it
+    is_argument: bool = True  # False for an option of the whole session, which is not an argument of the mark
 
     @property
     def flag(self) -> str:
@@ -80,9 +80,9 @@ class Option(NamedTuple):
         if self.choices and typed not in self.choices:
             *others, last = self.choices
             hint = ". For your own class, write module:Class, or pass the class in Python" if self.or_class else ""
-            from pytest_pafot.support.text import meant  # noqa: PLC0415  (for few sessions)
+            from pytest_pafot.support.text import suggest  # noqa: PLC0415  (for few sessions)
 
-            hint = meant(value, self.choices) or hint
+            hint = suggest(value, self.choices) or hint
             raise RequestError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
 
@@ -160,7 +160,7 @@ class Settings:
         is_argument=False,
     )
     save: str = option(
-        "text", "Save new findings (new) or save none.", default="new", choices=("new", "none"), is_argument=False
+        "text", "Save new findings (new) or nothing (none).", default="new", choices=("new", "none"), is_argument=False
     )
     workers: int = option(
         "workers",
@@ -173,7 +173,7 @@ class Settings:
     )
     isolate: bool = option(
         "switch",
-        "Report an ADS that ends its process as a finding.",
+        "Report a finding if an ADS ends its process.",
         "The policy then runs only in [separate processes](../guide/planners.md).",
         default=False,
     )
@@ -229,7 +229,7 @@ class Settings:
     )
     allow_orphans: bool = option(
         "switch",
-        "Do not fail the session if saved scenarios are not run.",
+        "Allow sessions that do not run all saved scenarios.",
         "This takes precedence over `CI` and `--pafot-strict-health`.",
         default=False,
         is_argument=False,
@@ -320,7 +320,7 @@ def _read_page(option: Option, value: object) -> str:
 def _read_file(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.endswith(("/", "\\")):
-        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder; use {text}pafot.json")
+        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder. Use {text}pafot.json")
     return text
 
 

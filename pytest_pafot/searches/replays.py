@@ -36,7 +36,7 @@ from pytest_pafot.findings.finding import (
     has_time,
     is_same_event,
     is_same_failure,
-    of_failure,
+    signature_of_failure,
     with_other_seed,
 )
 from pytest_pafot.findings.sighting import Observed
@@ -65,13 +65,13 @@ from pytest_pafot.world.guard.chance import GENERATORS
 
 Sought = Callable[[Run, Failure], bool]  # returns whether a failure of a run is the one to look for
 
-# If this number of random scenarios end in the same way as a replay, the cause is the set-up and no scenario.
+# If this many random scenarios end in the same way as a replay, the cause is the set-up and not the scenario.
 PROBES = 10
 
-# The start of a note on the part of a replay after the end of the file.
+# A part of the notes on what happens in a replay after the saved scenario has ended.
 PAST_END = "after the end of the saved scenario"
 
-# The time after the end of a file in which a collision with the same NPC counts as the saved one, only later [s].
+# The time after the end of a saved run in which a collision with the same NPC counts as the saved collision [s].
 SOON = 2.0
 
 
@@ -85,16 +85,16 @@ class Replays:
     def shown_by(self, saved: Iterable[Saved]) -> tuple[dict[Signature, str], Accepted]:
         """Replay saved scenarios, and return the known failures and accepted speeds."""
         known: dict[Signature, str] = {}  # the id of the first file that shows each failure
-        accepted: Accepted = {}  # with an infinite speed if a file is not accepted, because its item fails
+        accepted: Accepted = {}  # infinite speeds for files that are not accepted, because their items fail
 
         def cover(signature: Signature, id_: str, most: float) -> None:
             known.setdefault(signature, id_)
             accepted[signature] = max(accepted.get(signature, (0.0, "")), (most, id_))
 
         # A file covers the failure that it shows now, even if it was saved for another one. So each known failure has
-        # an item that fails with it or accepts it. A file covers nothing if it passes, even past its end; if it cannot
-        # be used, because its item reports the error; or if the reference fails as well, because old failures must not
-        # hide new ones.
+        # an item that fails with it or accepts it. A file covers nothing if it passes, even past its end, or if it
+        # cannot be used, which its item reports. It also covers nothing if the reference fails as well, because old
+        # failures must not hide new ones.
         for each in saved:
             owner, finding = self.harness.saved_node_id(each.id), each.finding
             # The search could find an accepted flaky failure by chance, so the file covers it even if it passes now.
@@ -142,9 +142,9 @@ class Replays:
         try:
             # Files contain no code. If the file's world is code, use the test's world.
             if codec.is_code(finding.world):
-                world = codec.named(finding.world, self.harness.world)
+                world = codec.check_named_world(finding.world, self.harness.world)
             else:
-                world = codec.of_file(finding.world, finding.scenario, self.harness.world)
+                world = codec.world_of_file(finding.world, finding.scenario, self.harness.world)
             with _naming(saved.path):
                 world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:
@@ -173,8 +173,8 @@ class Replays:
                         raise
                     raise ExecutionError(
                         "a scenario that has ended a process must run in a separate process, which raised "
-                        f"{type(error).__name__}: {error}. {NOT_TRIED_HERE} Or delete the file. A search may then find "
-                        "the failure again."
+                        f"{type(error).__name__}: {error}. {NOT_TRIED_HERE} Otherwise, delete the file. A search can "
+                        "find the failure again."
                     ) from None
         with harness.recording(job) as record:
             record.write(scenario)
@@ -275,7 +275,7 @@ class Replays:
         has_processes = harness.request.settings.isolate or forks() or saved.needs_own_process
         is_lost = not has_processes and bool(harness.left_behind(owner))
         if is_lost:
-            note = f"it was not run {PAST_END}, because a process died there before and this system cannot fork"
+            note = f"it was not run {PAST_END}, because a process died there before, and this system cannot fork"
         else:
             try:
                 run, verdict = self.tried(saved, _longer(saved, world), owner)
@@ -310,7 +310,7 @@ class Replays:
         if not has_time(run, failure):
             return passed
         is_event = failure.check is not None or run.outcome in HAS_EVENT
-        when = happened(finding, run, failure) if is_event else headline(run, verdict)
+        when = describe_result(finding, run, failure) if is_event else headline(run, verdict)
         if not is_same_failure(finding, run, failure):
             return passed if is_hit else replace(passed, note=f"a different failure occurs {PAST_END}: {when}")
         note = f"the same failure occurs {PAST_END}: {when}"
@@ -330,8 +330,8 @@ class Replays:
         """Replay a saved scenario, and return the facts that determine its label.
 
         Raises:
-            RequestError: if the scenario cannot be run, or if the reference cannot drive at all. For a scenario, the
-                message names the file, the line and the field.
+            RequestError: if the scenario cannot be run, or if the reference cannot drive at all. If it is the
+                scenario, the message names the file, the line and the field.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
@@ -341,7 +341,7 @@ class Replays:
         sought: Sought | None = partial(is_same_failure, finding)
         if now.fails:
             shown = _signature(now)
-            sought = None if now.run is None else lambda *its: of_failure(*its) == shown
+            sought = None if now.run is None else lambda *its: signature_of_failure(*its) == shown
         # The comparison shows whether a failure is new with the policy, and whether the reference fails where the
         # policy passes.
         return self._compared(saved, world, owner, now, sought)
@@ -377,7 +377,7 @@ class Replays:
         # file must be handled in one of these runs, and need not occur in the others.
         __tracebackhide__ = True
         finding, harness = _finding(saved), self.harness
-        then, job = finding.rate, harness.job(world, owner)
+        then, job, how = finding.rate, harness.job(world, owner), "in" if finding.flaky else "with"
         assert then is not None  # noqa: S101  (only for files with a rate)
         shown, failing = _by_chance(finding, now, *now.ran), 0
         with (
@@ -396,8 +396,8 @@ class Replays:
                     shown = replace(shown, is_handled=True)
         rate = FailureRate(failing=failing)
         drawn = finding.drawn + ("" if failing or finding.flaky else none_text(RUNS, finding.drawn))
-        note = "; ".join(filter(None, [now.note, f"fails in {rate} {drawn}, {then} when it was found"]))
-        return replace(shown, is_rare=then.failing < ENOUGH, note=note, rate=rate)
+        told = f"failed {how} {then} {finding.drawn} when it was found, and now fails {how} {rate} {drawn}"
+        return replace(shown, is_rare=then.failing < ENOUGH, note="; ".join(filter(None, [now.note, told])), rate=rate)
 
     def version_changes(self, finding: Finding) -> list[str]:
         then, now = finding.found.versions, self.harness.versions
@@ -406,12 +406,12 @@ class Replays:
 
     def world_changes(self, finding: Finding) -> list[str]:
         own = self.harness.world  # its runs may be shorter than in the file, even if nothing else differs
-        return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
+        return codec.changes(finding.world, own) or codec.describe_limits(finding.world, finding.scenario, own)
 
     def setting_changes(self, finding: Finding) -> list[str]:
         """Describe the differences in world, traffic and perception between a file and the test."""
-        # A replay uses the file's traffic and, if that is data, the file's world.
-        elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
+        # A replay uses the file's traffic and, if the file's world is data, this world.
+        elsewhere = ", ".join(codec.describe_world_change(finding.world, finding.scenario, self.harness.world))
         told = [f"run in the file's world, not the test's: {elsewhere}"] if elsewhere else []
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
         if now is not None and now != then:
@@ -425,13 +425,13 @@ class Replays:
 
     def changes(self, finding: Finding, now: str) -> str:
         changed = [event_change(finding, now), *self.version_changes(finding), *self.setting_changes(finding)]
-        return "; ".join(filter(None, changed)) or "a different run than before"
+        return "; ".join(filter(None, changed)) or "the run differs from the saved one"
 
 
 def event_change(finding: Finding, now: str) -> str:
     """Describe the difference between a replay's event and the event in its file, if any."""
     expect = finding.expect
-    then = "a process that died" if expect.is_crash else _event(expect.outcome, expect.time)
+    then = "a process crash" if expect.is_crash else _event(expect.outcome, expect.time)
     if expect.check is not None:
         then = f"{expect.assertion} failed at {expect.time:.1f} s"
     return "" if then == now else f"{now} instead of {then}"
@@ -442,7 +442,7 @@ def was_lost(finding: Finding, lost: LostRun) -> bool:
     return finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
 
 
-def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
+def describe_result(finding: Finding, run: Run, failure: Failure | None) -> str:
     """Describe a replay's result in the same form as the file describes the expected result."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
@@ -456,7 +456,7 @@ def _signature(now: Observed) -> Signature | None:
     if now.verdict is not None and isinstance(now.verdict.exception, ProcessLostError):
         return expectation(now.verdict.exception).signature
     run, verdict = now.ran
-    return of_failure(run, verdict.failure) if now.fails and verdict.failure is not None else None
+    return signature_of_failure(run, verdict.failure) if now.fails and verdict.failure is not None else None
 
 
 def _by_chance(finding: Finding, now: Observed, run: Run, verdict: Verdict) -> Observed:

@@ -25,7 +25,7 @@ from pytest_pafot.model.vehicle_type import (
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, AlgorithmName, Settings
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported
-from pytest_pafot.support.text import capitalised, meant, shown
+from pytest_pafot.support.text import capitalised, safe_repr, suggest
 from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.codec import checked_world
@@ -40,7 +40,7 @@ MOST_NPCS = 6
 # The smallest number of NPCs in a random scenario on a straight road, unless all NPCs are on the grid.
 LEAST_NPCS = 3
 # The largest number of NPCs in a random scenario on a road where they cross the ego's path. Three are enough to hide
-# one NPC behind another. With more of them, the ego would wait for the first NPC and meet the others at other times
+# one NPC behind another. With more of them, the ego would wait for the first NPC and meet the others at times other
 # than their slots, so the scenarios would show less.
 MOST_CROSSING = 3
 # The durations from which the gene duration of a scenario is sampled if all NPCs are on the grid [s].
@@ -152,12 +152,12 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     if request.blame not in BLAMES:
         raise request.error(
             "blame=...",
-            f"expected one of {', '.join(BLAMES)}, received {request.blame!r}. blame='ego' counts all "
+            f"expected {' or '.join(BLAMES)}, received {request.blame!r}. blame='ego' counts all "
             "failures except collisions for which only an NPC is at fault",
         )
     for name in BUDGETS:
         if arguments.get(name) is not None and int(arguments[name]) == 0:  # or "0"; the search would always pass
-            problem = f"expected at least 1, because 0 {name} test nothing. To replay only, use {flag('runs', 0)}"
+            problem = f"expected at least 1, because 0 {name} test nothing. To only replay, use {flag('runs', 0)}"
             raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
@@ -184,7 +184,7 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
             f"{place}({unknown}=...): expected an argument of a search, received one of a world. Write "
             f"world=pafot.Highway({unknown}=...)"
         )
-    expected = f"expected one of {', '.join(sorted(known))}, received {unknown!r}{meant(unknown, known)}"
+    expected = f"expected one of {', '.join(sorted(known))}, received {unknown!r}{suggest(unknown, known)}"
     raise RequestError(f"{place}({unknown}=...): {expected}")
 
 
@@ -307,7 +307,7 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
     Args:
         reference: the id of an environment, ``module:id``, or ``module:factory``. The module is imported,
             because it can register the environment.
-        place: the argument or option with the string, for error messages.
+        place: the argument or option that contains the string, for error messages.
         config: the options of an environment.
         is_planner: whether the ADS in that environment is a planner in SI units.
 
@@ -326,7 +326,7 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         raise RequestError(f"{place}: {error}") from error
     if config is not None:
         fix = "Set the options in the factory, as in pafot.World(..., config=...)"
-        raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}. {fix}")
+        raise RequestError(f"{place}: expected the id of an environment for --config, received {reference!r}. {fix}")
     try:
         made = factory()
     except (Exception, SystemExit) as error:
@@ -338,12 +338,12 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
     _refuse_other_worlds(made, f"{place}: expected the factory {reference!r} to return")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
         fix = "Return pafot.World(..., planner_hz=5) from the factory"
-        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none. {fix}")
+        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is not one. {fix}")
     return made
 
 
 def hint_at_world(given: Any) -> str:
-    """Return advice for a value that is only part of a world, such as an environment, or an empty string."""
+    """Return advice if a value is only part of a world, such as an environment; otherwise, return an empty string."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
@@ -358,7 +358,7 @@ def hint_at_world(given: Any) -> str:
         World(env_id or "").environment.make()
     except WorldError:
         return ""
-    return f'; did you mean pafot.World("{env_id}"{config})?'
+    return f'. Did you mean pafot.World("{env_id}"{config})?'
 
 
 def _problem_of_ads(value: object) -> str:
@@ -369,5 +369,5 @@ def _problem_of_ads(value: object) -> str:
         hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
     return (
         "expected the name of a fixture or a factory such as `lambda: MyPlanner()`, received "
-        f"{shown(value)}{f'. {hint}' if hint else ''}"
+        f"{safe_repr(value)}{f'. {hint}' if hint else ''}"
     )

@@ -13,7 +13,7 @@ from pytest_pafot.algorithms.evaluation import Evaluation, Health, PlanFinished
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
-from pytest_pafot.findings.finding import Finding, Found, is_faster, of_failure, speed_of
+from pytest_pafot.findings.finding import Finding, Found, is_faster, signature_of_failure, speed_of
 from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -48,7 +48,7 @@ class Failed:
     drew: bool  # whether the policy drew random numbers
 
     def found_in(self, generation: int) -> Finding:
-        """Return the content of the finding's file, with the number of the generation."""
+        """Return the content of the finding's file, including the generation in which it was found."""
         return replace(self.finding, found=replace(self.finding.found, generation=generation))
 
 
@@ -98,7 +98,7 @@ class Examiner:
     accepted: Accepted = field(default_factory=dict)  # the failures that saved scenarios show or accept
 
     def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
-        # Only the signature of a known failure is returned.
+        # For a known failure, only the signature is returned.
         __tracebackhide__ = True
         run = self.harness.run_of(trace)
         verdict = self.harness.judge(run)
@@ -110,7 +110,7 @@ class Examiner:
             fails = fails if verdict.is_ads or run.responsibility not in ("ego", "both") else "ego"
         if signature is not None and signature not in known and verdict.failure is not None:
             failed = self._failed(run, verdict.failure, signature, verdict)
-        evaluation = Evaluation.of(
+        evaluation = Evaluation.from_trace(
             trace,
             fitness=self.fitness(run),
             failing=verdict.failed,
@@ -137,7 +137,7 @@ class Examiner:
         """Return the signature of the run's failure, or None if it does not count."""
         if not verdict.failed or verdict.failure is None:
             return None
-        return self.beside_accepted(of_failure(run, verdict.failure), verdict.severity)
+        return self.beside_accepted(signature_of_failure(run, verdict.failure), verdict.severity)
 
     def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
         """Return the signature of a failure, or a different signature if it is worse than the accepted failure."""
@@ -146,7 +146,7 @@ class Examiner:
 
     def _failed(self, run: Run, failure: Failure, signature: Signature, verdict: Verdict) -> Failed:
         harness = self.harness
-        finding = Finding.of(
+        finding = Finding.from_run(
             run,
             failure,
             test=harness.node_id,
@@ -174,7 +174,7 @@ def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = 
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
-    """Return the result for a scenario in which a process died or hung, in an earlier run if ``death`` is None."""
+    """Return the result for a scenario in which a process died or hung, or did so in the past if ``death`` is None."""
     expect = None if death is None or is_common else expectation(death)
     evaluation = Evaluation(
         scenario=scenario,
@@ -223,7 +223,7 @@ class Counts:
         return len(self.causes) <= 1 and self.causes.total() == judged
 
     @classmethod
-    def of(cls, result: Result, number: int = 0) -> Self:
+    def from_result(cls, result: Result, number: int = 0) -> Self:
         evaluation, counts = result.evaluation, cls()
         counts.kinds[result.kind] = 1
         counts.outcomes[result.ended] = 1
@@ -261,10 +261,10 @@ _COUNTERS = [each.name for each in fields(Counts) if str(each.type).startswith("
 
 @dataclass(slots=True, kw_only=True)
 class Driver:
-    """The function with which other processes simulate chunks of a random search."""
+    """The function that other processes call to simulate chunks of a random search."""
 
     examiner: Examiner  # evaluates each run
-    drawn: Callable[[int], Scenario] | None = None  # returns the scenario of a number; None before the search starts
+    drawn: Callable[[int], Scenario] | None = None  # returns the scenario with a number; None before the search starts
 
     def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
         """Sample and simulate the scenarios of a chunk, and pass the results to ``say``."""
@@ -284,7 +284,7 @@ class Driver:
                 pass
             # A message costs the session more time than a run, so runs that are only counted share a message.
             if isinstance(made, Result) and made.failed is None and self.examiner.note is None:
-                counts += Counts.of(made, number)
+                counts += Counts.from_result(made, number)
                 output, seconds = output.followed_by(said), seconds + took
                 continue
             if counts.runs:
@@ -364,8 +364,8 @@ class State:
         if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
             return ""
         names = " and ".join(f"saved-{id_}" for id_ in sorted(covered))
-        which = "failure was a known failed check" if len(covered) == 1 else "failures were known failed checks"
-        return f"the only {which}, {names}, in {plural(covered.total(), 'run')}"
+        which = "only the known check" if len(covered) == 1 else "only the known checks"
+        return f"{which} {names} failed, in {plural(covered.total(), 'run')}"
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         counts = self.counts
@@ -393,7 +393,7 @@ class State:
         return self.clock() - self.began
 
     def take(self, result: Result) -> None:
-        self.counts += Counts.of(result, self.generation if self.is_random else self.runs)
+        self.counts += Counts.from_result(result, self.generation if self.is_random else self.runs)
         if result.cause is not None:
             self.first = self.first or result.evaluation.executed
         if result.kind == "skipped":

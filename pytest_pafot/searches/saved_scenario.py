@@ -1,4 +1,4 @@
-"""Saved scenarios without pytest, for scripts."""
+"""Functions for scripts that use saved scenarios without pytest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
-from pytest_pafot.support.text import shown, visible
+from pytest_pafot.support.text import safe_repr, visible
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import AdsFactory
@@ -38,7 +38,7 @@ class SavedScenario:
 
     Attributes:
         path: the path of the file.
-        finding: the content of the file, such as ``finding.test``.
+        finding: the content of the file, with attributes such as ``finding.test``.
     """
 
     path: Path
@@ -64,18 +64,18 @@ class SavedScenario:
         """The world that the file describes.
 
         Raises:
-            CorpusError: if the world is code, or cannot be built on this machine.
+            CorpusError: if the world is defined in code, or cannot be built on this machine.
         """
         if codec.is_code(self.finding.world):
             code = WorldError(
                 field="world",
                 expected="a world that a file can describe",
-                received=shown(dict(self.finding.world)),
+                received=safe_repr(dict(self.finding.world)),
                 fix="because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world",
             )
             raise reader.located(self.path, "world", code)
         try:
-            return codec.of_file(self.finding.world, self.scenario)
+            return codec.world_of_file(self.finding.world, self.scenario)
         except (WorldError, TypeError, ValueError) as error:
             raise reader.located(self.path, "world", error) from None
 
@@ -90,7 +90,7 @@ class SavedScenario:
         """Run the scenario once, without a verdict.
 
         Pass the run to the test function or to :meth:`matches`. The run ends with the scenario. For a longer run, pass
-        a world that its method ``lasting`` returned.
+        the result of the world's method ``lasting``.
 
         Args:
             ads: the factory, or a highway-env vehicle class.

@@ -18,7 +18,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searches.bench import Bench
 from pytest_pafot.searches.results import Counts, Result, State
 
-# The approximate time to run a chunk [s]: long compared to the time of a message, short compared to a search.
+# The approximate time to run a chunk [s]: long compared with the time of a message, short compared with a search.
 CHUNK_SECONDS = 0.05
 
 # Other processes are started only if the remaining runs take at least this time [s], because starting them takes a few
@@ -54,7 +54,7 @@ Done = Result | Counts | LostRun | Early | Evaluation | Sequence[Event] | None
 
 
 class Bred(Plan):
-    """The scenarios from an algorithm that learns, generation by generation."""
+    """The scenarios of a learning algorithm, grouped by generation."""
 
     def __init__(self, bench: Bench, algorithm: Algorithm[Any], **limits: Any) -> None:
         self.bench = bench
@@ -106,7 +106,7 @@ class _Driven:
 
 @dataclass(slots=True, kw_only=True)
 class Numbers:
-    """The scenarios of a random search, which samples each by its number."""
+    """The scenarios of a random search, each of which is sampled by its number."""
 
     algorithm: RandomSearch
     seed: int
@@ -151,7 +151,7 @@ class Numbers:
         return self.algorithm.drawn(self.seed, self.number)
 
     def next(self, state: State) -> Done:
-        """Return the result of the next scenario, or of several, like :meth:`Bred.next`."""
+        """Return the result of the next scenario, or of several, as :meth:`Bred.next` does."""
         __tracebackhide__ = True
         # Run scenarios one by one until two runs differ, which shows that the set-up has no fault.
         if not state.is_alike:
@@ -165,8 +165,8 @@ class Numbers:
             return None
         result = next(self._results, None)
         if result is None:
-            # If other processes run chunks, run only this scenario, to measure the time of a run, or the rest of a
-            # chunk in which a process died.
+            # If other processes run chunks, run only the next scenario, which measures the time of a run, or the rest
+            # of a chunk in which a process died.
             end = self._end if self.bench.driver is None else max(self._alone, self.number + 1)
             drawn = map(partial(self.algorithm.drawn, self.seed), range(self.number, end))
             self._results = self.bench.results(drawn, state, state.fatal.__contains__)

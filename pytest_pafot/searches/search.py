@@ -166,7 +166,7 @@ def search(
     """Sample and evaluate scenarios, and save each new failure.
 
     Raises:
-        SetupFaultError: if all runs at the start end in the same exception.
+        SetupFaultError: if the first runs all fail with the same exception.
         RequestError: if the world, the factory, the test function or a scenario cannot be used.
     """
     began, reason = state.clock(), None

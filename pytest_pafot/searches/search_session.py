@@ -56,7 +56,7 @@ from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 # The largest fraction of the time limit that is reserved to shrink findings and to find their moments.
 FOR_SIMPLIFYING = 1 / 3
 
-AFTER_A_DEATH = f"the ADS ran in separate processes ({flag('isolate')}), because a process died in this search before"
+AFTER_A_DEATH = f"the ADS ran in separate processes, as with {flag('isolate')}, because a process has died before"
 
 # The endings after which there are enough runs for health warnings.
 WITH_WARNINGS = Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
@@ -83,7 +83,7 @@ class SearchResult:
 
 
 class ListenerError(RuntimeError):
-    """The error that replaces a StopIteration from a consumer of events, which a generator cannot raise."""
+    """The error that replaces a consumer's StopIteration, which a generator cannot raise."""
 
     def __init__(self, error: StopIteration) -> None:
         super().__init__(
@@ -132,7 +132,7 @@ class Events:
 
     def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
         if isinstance(error, StopIteration):
-            # A generator would replace it by an error at the line where the search waits.
+            # A generator would replace it with an error at the line where the search waits.
             error = ListenerError(error)
         self._error = None if self.is_over else error
         return not self.is_over
@@ -205,7 +205,7 @@ def prepared(
     # errors are reported.
     why_here = _why_judged_here(harness)
     driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
-    remark = f"; this one evaluates all runs, because {why_here}" if why_here else ", which also evaluate their runs"
+    remark = f". This process evaluated all runs, because {why_here}" if why_here else ", which also evaluated them"
     job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
@@ -252,9 +252,9 @@ def _why_judged_here(harness: Harness) -> str:
     if not is_built_in(harness.request.fitness):
         return "the fitness is your own"
     if not harness.needs_only_run:
-        return "the test function has other arguments than the run"
+        return "the test function has arguments other than the run"
     is_apart = harness.cluster is not None  # its workers may be on other machines
-    return "they were not forked from it" if is_apart or not forks() else ""
+    return "the workers were not forked from it" if is_apart or not forks() else ""
 
 
 # Start to read at `run`. The loop over scenarios is in searches/search.py.
@@ -516,7 +516,7 @@ class SearchSession:
     def _summary(self, reason: Ending) -> Search:
         settings, state, counts = self.harness.request.settings, self.state, self.state.counts
         health = counts.health
-        cut = [f"stopped by {reason}, so the same seed may find other failures next time"] * (reason is Ending.MAX_TIME)
+        cut = [f"{reason} ended the search, so the same seed may find other failures"] * (reason is Ending.MAX_TIME)
         notes = (
             counts.doubt,
             state.known_alone,
@@ -583,7 +583,7 @@ class SearchSession:
         given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # the test specifies it already
         told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
-        return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
+        return f"these options of config= have no effect in a search: {'; '.join(told)}" if told else ""
 
     @property
     def _left_out(self) -> str:
@@ -600,7 +600,7 @@ class SearchSession:
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
         where = getattr(world, "env_id", type(world).__name__)
-        which = f"at {where} all NPCs drive along the ego's path: none {none}"
+        which = f"at {where}, all NPCs drive along the ego's path and none {none}"
         return f"{which}, so the search shows nothing about such traffic"
 
     def _left_undone(self, reason: Ending) -> Iterator[str]:
@@ -626,7 +626,7 @@ class SearchSession:
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
-    """Return a harness that isolates the policy if a process died in this search before."""
+    """Return a harness that isolates the policy if a process of this search has died before."""
     # Only forked processes can receive every factory.
     settings = harness.request.settings
     if not forks() or settings.isolate or not settings.is_search:

@@ -111,14 +111,14 @@ class Store:
             _remove_early(path)
 
     def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
-        """Turn early failures into findings and yield their signatures, ids and counts, or else remove their files."""
+        """Turn early failures into findings and yield their signatures, ids and counts, or just remove their files."""
         for signature, (path, result, number) in [*self.early.items()]:
             if keeps:
                 sighting = self.add(result, number)
                 id_ = sighting if isinstance(sighting, str) else sighting.id
                 if not isinstance(sighting, str):
                     self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
-                counts = Counts.of(result, number)
+                counts = Counts.from_result(result, number)
                 counts.fails.clear()  # passing runs before it are not counted, so the failure rate would be too high
                 yield signature, id_, counts
             elif path is not None:
@@ -211,8 +211,8 @@ class Store:
         text = f"a process (pid {leftover.pid}) died while it ran this scenario"
         if again is None:
             text += (
-                ". Possible causes are a crash of native code, something that accumulates from run to run, such as "
-                "memory, and a kill from outside. If it was killed from outside, delete the file"
+                ". Possible causes are a crash in native code, something that accumulates from run to run, such as "
+                "memory, and a signal from outside. If something else killed the process, delete the file"
             )
         else:
             text += f", and the process that ran it again {again.end}: {cause(again, 'delete the file')}"
@@ -294,12 +294,12 @@ def cause(lost: LostRun, way_out: str) -> str:
     if lost.end == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs more than its limit"
     if lost.end == WORLD_HANGS:
-        return f"the world hangs, or it is too slow (then set a longer hang_limit and {way_out})"
+        return f"the world hangs, or is too slow. If it is too slow, set a longer hang_limit and {way_out}"
     if not lost.is_hang:
-        return "the likely cause is a crash of native code, an exit, or a lack of memory"
+        return "the likely cause is a crash in native code, a call that ends the process, or a lack of memory"
     return (
         "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
-        f"does not work in a forked process (then {way_out})"
+        f"does not work in a forked process. In the last case, {way_out}"
     )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from pytest_pafot.support.errors import WorldError, install
+from pytest_pafot.support.text import listed
 from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
@@ -102,14 +103,15 @@ class Sumo(Simulator):
         way = Way(net, route)
         self.edges, self.lanes, self.lane_width, self.speed_limit = way.edges, way.lines, way.width, way.limit
         if start_lane not in way.starts:
-            expected = f"one of {', '.join(map(str, way.starts))}, the lanes of {self.edges[0]!r} along the route"
-            fix = "the route may leave the other lanes; start it at a later edge"
+            starts = listed([*map(str, way.starts)], "or")
+            expected = f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed"
+            fix = "to use another lane, start the route at a later edge"
             raise WorldError(field="start_lane", expected=expected, received=repr(start_lane), fix=fix)
         self.start_lane, self.start_speed, self.start_at = start_lane + way.left, start_speed, start_at
         self._data |= {"start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
         now = hashlib.sha256(Path(net).read_bytes()).hexdigest()[:16]
         if digest not in ("", now):
-            fix = "use the network of the commit that contains the file, or search again"
+            fix = "use the network from the commit of the saved scenario, or search again"
             raise WorldError(field="net", expected=f"{net} as it was saved", received="a changed file", fix=fix)
         self._data |= {"net": net, "digest": now, "route": way.edges}
 
@@ -138,16 +140,16 @@ class Way:
         try:
             from sumolib.net import readNet  # noqa: PLC0415  (part of libsumo, which is optional)
         except ImportError as error:
-            expected, fix = "an installed sumolib", install("sumo")
-            raise WorldError(field="pafot.sumo", expected=expected, received=f"{error}", fix=fix) from None
+            expected, fix = "an installed sumolib", f"run `{install('sumo')}`"
+            raise WorldError(field="pafot.sumo", expected=expected, received=f"the error '{error}'", fix=fix) from None
 
-        expected = "a SUMO network, as netconvert writes it"
+        expected = "a SUMO network, as written by netconvert"
         if not Path(path).is_file():  # a saved file may name anything, such as a pipe that never ends
-            raise WorldError(field=f"net, {path}", expected=expected, received="no regular file")
+            raise WorldError(field=f"net, {path}", expected=expected, received="a path that is not a regular file")
         try:
             self._net = readNet(path, withInternal=True)
         except Exception as error:  # noqa: BLE001  (of the XML reader, of its handler, or of the file)
-            received = f"{type(error).__name__}: {error}"
+            received = f"the error {type(error).__name__}: {error}"
             raise WorldError(field=f"net, {path}", expected=expected, received=received) from None
         self._edges = self._connected(self._ends() if route is None else route)
         self.edges = [edge.getID() for edge in self._edges]

@@ -23,7 +23,7 @@ FORCED, ABSENT = "PAFOT_KERNEL", "not compiled at installation"
 
 
 def typed(*folders: str) -> list[Path]:
-    """Return the paths, without suffixes, of the modules in some folders that have a ``.pxd`` file."""
+    """Return the paths, without suffixes, of those modules in the folders that have a ``.pxd`` file."""
     # Editors create files such as `.#loop.pxd` there.
     return [path.with_suffix("") for each in folders for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))]
 
@@ -61,7 +61,7 @@ def load(package: str) -> None:
     if reason not in ("", ABSENT):
         sys.path_importer_cache[folder] = FileFinder(folder, (SourceFileLoader, SOURCE_SUFFIXES))
     if reason not in ("", FORCED, ABSENT):
-        _warn(f"pytest-pafot runs interpreted, which is about twenty times slower: {reason}")
+        _warn(f"pytest-pafot runs interpreted, which is about twenty times slower, because {reason}")
     for path in typed(folder):
         import_module(f"{package}.{path.stem}")
 

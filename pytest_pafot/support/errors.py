@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 import shlex
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping, Sequence
@@ -36,9 +37,11 @@ class FieldError(ValueError):
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
-    """Format the message ``field: expected this, received that; fix``."""
-    place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
-    return f"{place}expected {expected}, received {received}{way_out}"
+    """Format the message ``field: expected this, received that. Fix``."""
+    place = f"{field}: " if field else ""
+    # A fix that starts with code stays as it is.
+    fix = fix[0].upper() + fix[1:] if re.match(r"[a-z]+[ ,:]", fix) else fix
+    return f"{place}expected {expected}, received {received}{fix and f'. {fix}'}"
 
 
 def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:

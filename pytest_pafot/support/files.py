@@ -76,22 +76,22 @@ T = TypeVar("T")
 # The prefix of temporary files.
 TEMPORARY = ".pafot-"
 
-# The advice for each error number. `{}` is replaced by how to name another folder.
+# The advice for each error number. `{}` is replaced by advice on how to name another folder.
 _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
-        errno.ENOSPC: "free some space on the disk, {}",
-        errno.EDQUOT: "free some of your disk quota, {}",
-        errno.EROFS: "mount the file system with write access, {}",
-        errno.ENAMETOOLONG: "shorten the name of a folder, of the test or of a parameter, {}",
-        errno.ENOTDIR: "rename or delete the file that has the name of the folder, {}",
-        errno.EEXIST: "rename or delete the file that has the name of the folder, {}",
-        errno.EISDIR: "rename or delete the folder that has this name, {}",
-        errno.ENOENT: "create the missing folder, {}",
-        errno.EINVAL: "delete the link or special file that has this name, {}",
-        errno.ELOOP: "remove the link that points to itself from the path, {}",
-        errno.EMFILE: "close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
-        errno.ENFILE: "close files in other programs on this machine, or raise its limit on open files",
-        errno.EIO: "check the disk and the network, {}",
+        errno.ENOSPC: "Free some space on the disk, {}",
+        errno.EDQUOT: "Free some of your disk quota, {}",
+        errno.EROFS: "Mount the file system with write access, {}",
+        errno.ENAMETOOLONG: "Shorten the name of a folder, of the test or of a parameter, {}",
+        errno.ENOTDIR: "Rename or delete the file that has the same name as the folder, {}",
+        errno.EEXIST: "Rename or delete the file that has the same name as the folder, {}",
+        errno.EISDIR: "Rename or delete the folder that has this name, {}",
+        errno.ENOENT: "Create the missing folder, {}",
+        errno.EINVAL: "Delete the link or special file that has this name, {}",
+        errno.ELOOP: "Remove the link that points to itself from the path, {}",
+        errno.EMFILE: "Close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
+        errno.ENFILE: "Close files in other programs on this machine, or raise its limit on open files",
+        errno.EIO: "Check the disk and the network, {}",
     }
 )
 
@@ -148,19 +148,19 @@ def write_if_free(path: Path, content: bytes) -> bool:
 
 def way_out(error: OSError, elsewhere: str) -> str:
     """Return advice for a file that cannot be written. ``elsewhere`` explains how to choose another folder."""
-    return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
+    return _WAYS_OUT.get(error.errno or 0, "Make the folder writable, {}").format(elsewhere)
 
 
 @contextlib.contextmanager
 def written_into(folder: Path) -> Iterator[None]:
-    """Turn an ``OSError`` in this context into a ``RequestError`` for ``--out``."""
+    """Turn an ``OSError`` raised within the ``with`` block into a ``RequestError`` for ``--out``."""
     try:
         yield
     except OSError as error:
         # Name an existing file that is in the way, but not a temporary file that was being written.
         what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
         raise RequestError(
-            f"--out: expected a writable folder, received {what}: {error.strerror or error}; "
+            f"--out: expected a writable folder, received {what}: {error.strerror or error}. "
             f"{way_out(error, 'or give another folder')}"
         ) from None
 

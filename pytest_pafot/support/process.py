@@ -189,7 +189,7 @@ def leave_receipt(folder: str, code: int) -> None:
 def taken_receipt(folder: str, left: int) -> int | None:
     """Remove a receipt and return its exit code, or None if there is no receipt.
 
-    Instead of 0, return the process's exit code ``left``.
+    If the exit code is 0, return the process's own exit code, ``left``.
     """
     file = Path(folder) / NAME
     try:
@@ -208,8 +208,8 @@ def ended_with(left: int) -> int:
 def unfinished(code: int) -> str:
     """Return the message about a process that ended without a receipt."""
     received = f"an early exit with code {code}"
-    likely = "Unless an error above explains it, the policy, its factory or its module ended the process, such as with "
-    likely += "sys.exit or os._exit. Raise an error instead"
+    likely = "Unless an error above explains it, the policy, its factory or its module ended the process, for example "
+    likely += "with sys.exit or os._exit. Raise an error instead"
     if code < 0:
         names = {int(number): number.name for number in signal.Signals}
         received = f"the signal {names.get(-code, -code)}"

@@ -97,14 +97,18 @@ def percent(share: float) -> str:
 
 def none_text(trials: int, what: str = "scenarios") -> str:
     """Return the end of a sentence about trials without hits, such as ``, so it occurs in at most 2 % of ...``."""
-    most = 100 * upper_bound(0, trials) - 1e-9  # otherwise, its last bit would decide whether it is rounded up
-    rounded = math.ceil(10 * most) / 10 if most < 10 else math.ceil(most)
-    return f", so it occurs in at most {rounded:g} % of such {what}, with 95 % confidence"
+    return f", so it occurs in {_most_without_hits(trials)} of such {what} (95 % confidence)"
+
+
+def _most_without_hits(trials: int) -> str:
+    most = 100 * interval(0, trials)[1] - 1e-9  # otherwise, its last bit would decide whether it is rounded up
+    digits = 0 if most >= 10 else 1 if most >= 1 else 2
+    return f"at most {math.ceil(most * 10**digits) / 10**digits:g} %"
 
 
 def interval_text(hits: int, trials: int) -> str:
     """Format a proportion with its interval, such as ``3.8 % (95 %: 2.7 to 5.2 %)``."""
     low, high = interval(hits, trials)
     if hits == 0:
-        return f"0 % (95 %: at most {percent(high)})"
+        return f"0 % (95 %: {_most_without_hits(trials)})"
     return f"{percent(hits / trials)} (95 %: {percent(low).removesuffix(' %')} to {percent(high)})"

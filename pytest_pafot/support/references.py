@@ -24,7 +24,7 @@ from pytest_pafot.support.text import listed, one_line
 # The maximum number of names of a module that an error lists.
 MOST_NAMES = 8
 
-# The suffix of a policy that is a planner in SI units, although it drives in an environment.
+# The suffix that marks a policy as a planner in SI units, although it drives in an environment.
 PLANNER = "@planner"
 
 
@@ -69,7 +69,7 @@ def imported(reference: str) -> ModuleType:
     except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() when it is imported.
         # A module that imports a missing module raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
-        way_out = "Run in the module's folder, or add it to the Python path (in pytest's settings: `pythonpath = .`)"
+        way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
         if path != module_name and not path.startswith("."):  # otherwise, it is not a path, or not below this folder
             way_out = f"Write {path}:{name}"

@@ -37,7 +37,7 @@ def ascii_text(text: str) -> str:
     return visible(text).encode("ascii", "backslashreplace").decode("ascii")
 
 
-def shown(value: Any) -> str:
+def safe_repr(value: Any) -> str:
     """Return a value's ``repr`` in one line for an error message, even if ``repr`` raises."""
     try:
         return one_line(repr(value))
@@ -80,10 +80,10 @@ def listed(texts: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
-def meant(name: object, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'gap'?`` for a similar name, or an empty string."""
+def suggest(name: object, known: Iterable[str]) -> str:
+    """Return ``. Did you mean 'gap'?`` for a similar name, or an empty string."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    return f". Did you mean {near[0]!r}?" if near else ""
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:

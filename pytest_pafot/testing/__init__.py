@@ -1,8 +1,8 @@
 """A check of a user's simulator, to be called in the user's tests.
 
 In each experiment, the simulator moves vehicles with known controls, and the package's own model predicts their motion.
-If the two disagree, the experiments are repeated with other units, axes and controls. A changed declaration with which
-everything agrees is the cause.
+If the two disagree, the experiments are repeated with other units, axes and controls. If everything agrees once a
+declaration is changed, that declaration was wrong.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ import numpy as np
 from pytest_pafot.algorithms.space import sample
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.model.scenario import Scenario, rng_of
-from pytest_pafot.model.trace import FloatArray, Trace, first_difference, named
+from pytest_pafot.model.trace import FloatArray, Trace, first_difference
+from pytest_pafot.model.trace import vehicle_name as named
 from pytest_pafot.model.vehicle_type import READY
 from pytest_pafot.searches.request import SpaceArguments, drawn_space
 from pytest_pafot.world import Control, Simulator, SimulatorWorld, Vehicle
@@ -40,7 +41,7 @@ from pytest_pafot.world.kernel.bodies import Body
 COAST, GAS, STAND, STOP, LONGEST, SETTLED, LATE = 1.5, 2.0, 6.0, 9.0, 20.0, 0.6, 0.1
 # The accepted motion of a vehicle as a multiple of the requested motion: the lowest value, the lowest value without a
 # note, and the highest value. A simulator may have drag, noise or another distance between axles.
-# Above the fourth, a vehicle turns so much that its wheelbase probably differs from the model's.
+# Above `WIDE`, a vehicle turns so much that its wheelbase probably differs from the model's.
 DRIVEN, OBEYED, WIDE = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.2, 0.4, 2.45)}, 1.3
 # The largest change of speed without acceleration [m/s^2], of heading or direction without steering [rad], and angle
 # between heading and motion in a turn: a proportion of the turn, and the effect of rear wheels [rad]. How far behind
@@ -75,7 +76,7 @@ def check_world(
         RuntimeWarning: if controls take effect late or only partly, which is allowed.
     """
     checked_world(world)
-    # First the experiments, only with a user's simulator. Its random runs are short, because long ones show no more.
+    # First the experiments, only with a user's simulator. Its random runs are short: longer ones would show no more.
     if isinstance(world, SimulatorWorld):
         for note in _Bench(world, seed).check():
             warnings.warn(f"check_world: {note}", RuntimeWarning, stacklevel=2)
@@ -86,14 +87,14 @@ def check_world(
     done = [(each, _run_scenario(world, each, ads)) for each in (sample(within, rng) for _ in range(runs))]
     for scenario, trace in done[::-1]:  # in another order than before
         difference = first_difference(trace, _run_scenario(world, scenario, ads))
-        _promise(not difference, "the same scenario gives the same run, to the last bit", difference)
+        _promise(not difference, "the same scenario gives the same run, to the last bit", f"another one: {difference}")
 
 
 def _run_scenario(world: BaseWorld, scenario: Scenario, ads: AdsFactory | None) -> Trace:
     drive, given = (world.rollout_reference, CAREFUL) if ads is None else (world.rollout, ads)
     with _without_error("a random scenario can be run"):
         trace: Trace = GENERATORS.run(drive, scenario, cast("Any", given))
-    wrong = trace.users_error_text or ("" if trace.error is None else f"{trace.error.text}; give a different ads=")
+    wrong = trace.users_error_text or ("" if trace.error is None else f"{trace.error.text}. Give a different ads=")
     _promise(not wrong, "random runs are valid, and the policy of the check drives in this world", wrong)
     return trace
 
@@ -142,7 +143,7 @@ class _Run(NamedTuple):
 class _Bench:
     """The experiments with a world's simulator. The declarations in ``other`` replace the simulator's.
 
-    Each promise is a tuple of whether it was kept, the expected result and the received result.
+    Each promise is a tuple: whether it was kept, the expected result and the actual result.
     """
 
     def __init__(self, world: SimulatorWorld, seed: int) -> None:
@@ -329,13 +330,13 @@ class _Bench:
             # Late or partial effects are allowed, with a note.
             late = run.dt * (len(done) - float(done[:, number].sum() / (part * asked[:, number].mean())))
             if found := [f"in part, {part:.2f} times"] * (part < whole) + [f"{late:.2f} s late"] * (late > limit):
-                told = f"a lagging drivetrain: control.{name} of {named(number)} takes effect {' and '.join(found)}"
-                advice = "" if self.said.moves_ego_only else "; set moves_ego_only = True if NPCs obey immediately"
-                self.notes.setdefault(name, f"{told}, which is allowed{advice}")
+                told = f"control.{name} of {named(number)} takes effect {' and '.join(found)}"
+                advice = "" if self.said.moves_ego_only else ". Set moves_ego_only = True if NPCs obey immediately"
+                self.notes.setdefault(name, f"{told}. A lagging drivetrain is allowed{advice}")
             if column == 2 and part > WIDE:
                 told = f"control.steering turns {named(number)} {part:.2f} times as much as in a bicycle model"
-                fix = f"if its wheelbase is not its length, use atan({1 / part:.2f} * tan(steering))"
-                self.notes.setdefault("axles", f"{told}; {fix}")
+                fix = f"If its wheelbase is not its length, use atan({1 / part:.2f} * tan(steering))"
+                self.notes.setdefault("axles", f"{told}. {fix}")
 
     def turns(self, run: _Run, reference: str) -> Iterator[tuple[Any, str, str]]:
         # Promises that vehicles turn about a point near their rear axles. The longer of two vehicles must turn less.
@@ -355,7 +356,7 @@ class _Bench:
             received = f"{behind * length:.1f} m behind the centre of {run.name(number)}, with {reference!r}"
             yield behind - spare <= CENTRE[1] and not (is_ahead and reference == "front"), promise, received
             if is_ahead and reference == "centre":
-                self.notes["axles"] = 'vehicles turn about their positions: set reference = "rear axle"?'
+                self.notes["axles"] = 'vehicles turn about their positions. Should reference be "rear axle"?'
 
     def misplaced(self, run: _Run) -> str:
         # Describe a usual difference at the start. Return an empty string for any other difference.
@@ -397,7 +398,7 @@ class _Bench:
             with suppress(AssertionError):
                 if all(is_kept for is_kept, *_ in self.promises(**each)):
                     all_ = (f"{k} = {round(v, 6) if isinstance(v, float) else repr(v)}" for k, v in each.items())
-                    return f"; use {', '.join(all_)}{' times that in control' if {*each} & {*OBEYED} else ''}"
+                    return f". Use {', '.join(all_)}{' times that in control' if {*each} & {*OBEYED} else ''}"
         return ""
 
     def check_repetition(self) -> None:
@@ -405,8 +406,8 @@ class _Bench:
         promise = "the same start with the same seed gives the same run, to the last bit"
         run = self.drive(self.spots(0.8 * self.top), GAS, lambda n, t, _: ((-1) ** n * (1 - t), 0.02 * math.sin(t + n)))
         first, _, again = (self.again(run, *each) for each in ((), (2, self.seed + 1), ()))
-        cause = "reset everything in start, and draw random numbers from a generator that start creates from seed"
-        _check_same(first, again, run.dt, promise, f"in a simulator that was used before; {cause}")
+        cause = "Reset everything in start, and draw random numbers from a generator that start creates from seed"
+        _check_same(first, again, run.dt, promise, f"in a simulator that was used before. {cause}")
         if not self.said.one_at_a_time:
             # A second simulator that runs in between must have no effect.
             beside = self.world.simulators.take()
@@ -419,7 +420,7 @@ class _Bench:
             self.world.simulators.give(self.real, is_sound=False)  # closes it
         self.real = self.world.simulators.take()
         _promise(not told, "close() returns in time and without an exception", told and told[0].message)
-        _check_same(first, self.again(run), run.dt, promise, f"in another simulator; {cause}")
+        _check_same(first, self.again(run), run.dt, promise, f"in another simulator. {cause}")
 
     def again(self, run: _Run, vehicles: int | None = None, seed: int | None = None, beside: Any = None) -> FloatArray:
         # The states with the vehicles and controls of a run, in the simulator's own units.
@@ -434,4 +435,4 @@ def _check_same(first: FloatArray, again: FloatArray, dt: float, promise: str, w
     if first.tobytes() != again.tobytes():
         tick, number, column = np.argwhere(first != again)[0].tolist()
         received = f"{STARTS[column][0]} of {named(number)} differs by {abs(first - again)[tick, number, column]:.3g}"
-        _promise(False, promise, f"{received} after {tick * dt:.3g} s {where}")
+        _promise(False, promise, f"a different run: {received} after {tick * dt:.3g} s {where}")

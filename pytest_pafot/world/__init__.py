@@ -1,4 +1,4 @@
-"""Worlds, the roads on which scenarios run, and most of the code that uses highway-env.
+"""Worlds with their roads, and most of the code that uses highway-env.
 
 A world checks a scenario and sets up a run (``engines/``). The kernel's loop (``kernel/loop.py``) then simulates the
 run tick by tick. The ego's driver depends on the policy:
@@ -10,8 +10,8 @@ run tick by tick. The ego's driver depends on the policy:
   support the lanes or the vehicle.
 
 In a :class:`pytest_pafot.SimulatorWorld`, a simulator determines the states after each tick
-(``engines/simulation.py``). Environments with wrappers or their own ``step`` are run with ``env.step``
-(``engines/gym_replay.py``), which also confirms findings.
+(``engines/simulation.py``). Environments with wrappers or a custom ``step`` are run with ``env.step``
+(``engines/gym_replay.py``). This engine also confirms findings.
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle

@@ -52,19 +52,19 @@ class FirstDecision:
     """A description of a policy's first observation and expected action, for error messages."""
 
     is_si: bool
-    # A sentence on the observation and the action.
+    # A sentence about the observation and the action.
     text: str
-    # Advice for a policy with other inputs or outputs. If it is empty, the caller gives the advice.
+    # Advice for a policy of another kind. If it is empty, the caller gives the advice.
     advice: str = ""
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """Describe the first decision in a scenario, or return None if the run fails before it."""
+    """Describe the first decision in a scenario, or return None if the run fails earlier."""
     seen: list[Any] = []
     trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
         return None
-    # The run ended with an error about the action None, which states the expected one.
+    # The run ended because the action was None. The error states the expected action.
     expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
     observation = seen[0]
     is_si = isinstance(observation, Observation)
@@ -90,7 +90,7 @@ class RoadStart(NamedTuple):
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
 
 
-# The smallest and largest accepted durations of runs that are continued [s].
+# The smallest and largest accepted durations [s] of continued runs.
 LASTS = (0.01, 86400.0)
 
 
@@ -134,7 +134,7 @@ class BaseWorld(ABC):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The kinds of conflict with the ego's path that cannot occur, because no NPCs drive on the other roads."""
+        """The kinds of conflict with the ego's path that cannot occur, because no NPCs use the roads involved."""
         return frozenset()
 
     @property
@@ -153,23 +153,23 @@ class BaseWorld(ABC):
 
     @property
     def left_out(self) -> Mapping[str, tuple[str, ...]]:
-        # The environment's methods that change its state, but that runs of a policy do not call, with their changes.
+        # The methods of the environment that runs of a policy skip, although they change its state, with these changes.
         return {}
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
-        """Return the options of the environment that have no effect in a search, grouped by the reason.
+        """Return the options of the environment that have no effect in a search, grouped by reason.
 
-        ``simulates`` states whether the policy receives the environment.
+        ``simulates`` is true if the policy receives the environment.
         """
         return {}
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """The names of additional installed packages whose versions affect runs."""
+        """The names of installed packages whose versions also affect runs."""
         return ()
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether compiled code simulates every tick of a run of ``ads``, which takes about a millisecond."""
+        """Return whether compiled code simulates every tick, so that a run of ``ads`` takes about a millisecond."""
         return False
 
     @property
@@ -178,7 +178,7 @@ class BaseWorld(ABC):
 
     @property
     def rules(self) -> Rules:
-        # On a straight road, the run must end before an ego at top speed could reach the end of the road.
+        # On a straight road, the run must end before an ego at top speed would reach the end of the road.
         rules, lasts = self._rules, self.lasts
         if lasts is None:
             return rules
@@ -187,11 +187,11 @@ class BaseWorld(ABC):
     @property
     @abstractmethod
     def _rules(self) -> Rules:
-        """The settings of runs that are not extended."""
+        """The settings of runs, without the duration that :meth:`lasting` sets."""
 
     @cached_property
     def network(self) -> Any:
-        # The road as a road network of highway-env.
+        # The road as a highway-env road network.
         from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
 
         lane = self.road.lanes[0]
@@ -199,7 +199,7 @@ class BaseWorld(ABC):
 
     @property
     def stock_road(self) -> Any:
-        # The road as a road of highway-env without vehicles.
+        # The road as a highway-env road without vehicles.
         from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
 
         return Road(self.network)
@@ -236,11 +236,6 @@ class BaseWorld(ABC):
         """The paths that cross or join the ego's path, or None if there are none."""
         return self.rules.crossings
 
-    @property
-    def takes_over(self) -> tuple[str, ...]:
-        """The names of the reference drivers that can take over the ego."""
-        return tuple(REFERENCES)
-
     def check_fits(self, scenario: Scenario) -> None:
         """Check that a scenario fits this world.
 
@@ -257,7 +252,7 @@ class BaseWorld(ABC):
         Raises:
             WorldError: if ``seconds`` is not a number from 0.01 to 86400.
         """
-        # The copy shares the road and the environment, which take long to make. So runs start equally, to the last bit.
+        # The copy shares the road and the environment, which are slow to create. So runs start from the same state.
         longer = copy.copy(self)
         object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
@@ -266,7 +261,7 @@ class BaseWorld(ABC):
         """Simulate a scenario with a reference driver instead of the policy.
 
         Raises:
-            WorldError: if ``name`` is not one of :attr:`takes_over`.
+            WorldError: if there is no reference driver called ``name``.
         """
         return self._driven_by(lambda: (_reference_driver(name), None), scenario)
 
@@ -274,14 +269,14 @@ class BaseWorld(ABC):
         """Repeat a run up to a tick, and then let a reference driver take over the ego.
 
         Raises:
-            WorldError: for an unknown name, a tick after the end of the run, or a trace with a different tick rate.
+            WorldError: if the name is unknown, the tick is not in the run, or the tick rate is not this world's.
         """
         if not 0 <= tick <= trace.ticks:
             raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
-            expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
+            expected = f"a run with {self.rules.physics_hz} ticks per second, as in this world"
             raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
-        # The ego repeats its states, so the NPCs repeat their states, too. Shortly before the tick, the driver watches.
+        # The ego repeats its states, so the NPCs repeat theirs. The driver starts to watch shortly before the tick.
         seconds = tick / trace.physics_hz
         return self._driven_by(
             lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)), trace.executed
@@ -295,14 +290,14 @@ class BaseWorld(ABC):
         self, driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]], scenario: Scenario
     ) -> Trace:
         self.rules.check_fits(scenario)
-        # A reference driver decides at every tick. `policy_hz` keeps the steps of the environment as they were.
+        # A reference driver decides at every tick. `policy_hz` keeps the length of the environment's steps.
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, policy_hz=self.rules.ads_hz)
 
         def driven(scenario: Scenario, factory: Callable[[], Any]) -> Trace:
             driver, body = factory()
             return self._planned(every_tick, scenario, driver, body=body)
 
-        # Reference drivers draw nothing, but the user's code that ends runs may.
+        # Reference drivers draw no random numbers, but a user's code that ends runs may.
         has_code = self.rules.ends or self.rules.ends_in_steps
         return GENERATORS.run(driven, scenario, driver_of) if has_code else driven(scenario, driver_of)
 
@@ -324,7 +319,7 @@ class BaseWorld(ABC):
         return None
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """Describe the first decision in a scenario, or return None if the run fails before it."""
+        """Describe the first decision in a scenario, or return None if the run fails earlier."""
         return decision_asked(self.rollout, scenario)
 
     def _check_fields(self) -> None:
@@ -335,7 +330,7 @@ class BaseWorld(ABC):
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="a pafot.NpcLimits object", received=repr(self.limits))
         try:
-            object.__setattr__(self, "ego", VehicleType.of(self.ego))
+            object.__setattr__(self, "ego", VehicleType.parse(self.ego))
         except FieldError as error:
             raise WorldError(f"ego.{error}".replace("ego.vehicle:", "ego:")) from None
         if self.ego.braking < HARDEST:
@@ -383,7 +378,7 @@ class BaseWorld(ABC):
 
     @property
     def most_on_grid(self) -> int:
-        # The largest number of NPCs in cells around the required start of the ego; 8 without a required start.
+        # The largest number of NPCs in cells around the ego's required start, or 8 if no start is required.
         start = self.road_start
         return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
 
@@ -391,7 +386,7 @@ class BaseWorld(ABC):
         chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
         try:
             if npcs:
-                # The number that fits depends only on the cells around the start, so these NPCs just slow down.
+                # The number that fits depends only on the cells around the start, so any instructions will do.
                 time = self.tick or 1.0
                 self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time))
         except ScenarioError:
@@ -399,7 +394,7 @@ class BaseWorld(ABC):
         return True
 
     def run_of(self, trace: Trace) -> Run:
-        """Return a trace of this world as the run that a test function receives."""
+        """Convert a trace of this world to the run that a test function receives."""
         return Run(trace, take_over=TakingOver(self))
 
 
@@ -446,10 +441,9 @@ class Highway(BaseWorld):
         ads_hz: decisions of the policy per second, a divisor of ``physics_hz``.
         duration: longest duration [s] of a run.
         clearance: smallest gap [m] between the ego and the cells ahead of and behind it. NPCs can come closer.
-        headway: time gap [s] at which NPCs start ahead of or behind the ego.
+        headway: time gap [s], but at least ``clearance``, at which NPCs start ahead of or behind the ego.
         limits: limits of the NPCs.
-        ego: the ego's vehicle ([types](scenarios.md#vehicles)): a ``pafot.VehicleType``, or the name of a built-in
-            type.
+        ego: the ego's [vehicle type](scenarios.md#vehicles), as a ``pafot.VehicleType`` or the name of a built-in type.
         hang_limit: wall-clock time [s] after which a decision of the policy is interrupted.
         lasts: duration [s] of all runs, if :meth:`lasting` has set it. It is not saved with the world.
 
@@ -491,14 +485,14 @@ class Highway(BaseWorld):
         Args:
             scenario: scenario to run.
             ads_factory: function that returns the policy, or a highway-env vehicle class, which drives itself.
-            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes the later ones.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes later decisions.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
             WorldError: if ``decisions`` are given for a vehicle class, which returns no decisions.
-            Exception: any exception that the factory raises. An exception in the policy ends the run as ``ads_error``.
+            Exception: any exception of the factory. An exception in the policy ends the run with ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -513,7 +507,7 @@ class Highway(BaseWorld):
             if decisions:
                 raise WorldError(
                     f"decisions: expected none for {ads.given!r}, because a vehicle class drives itself and returns no "
-                    f"actions, received {len(decisions)}; omit them"
+                    f"actions, received {len(decisions)}. Omit them"
                 )
             return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given)
         with closing(ads.given, self.hang_limit):
@@ -525,7 +519,7 @@ class Highway(BaseWorld):
         return not self.ego.has_limits and idm_model(ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, but with the ``env.step`` of highway-env's highway-v0."""
+        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's highway-v0."""
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
         return replay_highway(self.rules, scenario, Policy(ads_factory))

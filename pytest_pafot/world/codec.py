@@ -1,7 +1,7 @@
 """Conversion between worlds and the data in files.
 
-Files may come from untrusted sources, so no file may decide which code runs. A user's simulator and an environment's
-wrappers are code. For a world with code, a replay uses the test's world, if the name in the file matches.
+Files may come from untrusted sources, so a file must not decide which code runs. A user's simulator and an
+environment's wrappers are code. If a world is defined in code, a replay uses the test's world, if its name matches.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.support.text import differences, listed, shown
+from pytest_pafot.support.text import differences, listed, safe_repr
 from pytest_pafot.world.base_world import BaseWorld, Highway
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
-# The package's simulators: for each `kind` in files, which is also the name of the module, the name of the class.
+# The class names of the package's simulators, by their `kind` in files, which is also the name of their module.
 SIMULATORS: Mapping[str, str] = MappingProxyType({"metadrive": "MetaDrive", "sumo": "Sumo"})
 
 # The `kind` of a user's simulator in files. Earlier versions also used it for worlds with a custom `rollout`.
@@ -33,11 +33,11 @@ BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Hig
 # The default class of other vehicles in highway-env's environments.
 OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
 
-# If the world is code, these fields must be the same in the file and in the test's world. Other changes are only
-# reported.
+# If the world is defined in code, these fields must be the same in the file and in the test's world. Other differences
+# are only reported.
 NAMED_BY = ("kind", "class", "env_id")
 
-# The largest `hang_limit` that a file can set if no test names a world [s].
+# The largest `hang_limit` [s] that a file can set if no test specifies a world.
 LONGEST_DECISION = 600.0
 
 
@@ -56,11 +56,11 @@ def checked_world(given: Any) -> BaseWorld:
     else:
         fix = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
     expected = "pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)"
-    raise WorldError(field="world", expected=expected, received=shown(given), fix=fix)
+    raise WorldError(field="world", expected=expected, received=safe_repr(given), fix=fix)
 
 
 def from_dict(data: Mapping[str, Any]) -> BaseWorld:
-    """Create a world from the data that :func:`described`, or the ``to_dict`` of a built-in world, returned.
+    """Create a world from data that :func:`described`, or ``to_dict`` of a built-in world, has returned.
 
     Raises:
         WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env, or
@@ -73,7 +73,7 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
         return _built_in(kind, values)
     if isinstance(kind, str) and kind in SIMULATORS:
         return _of_simulator(kind, values)
-    hint = "a file cannot contain the code of your simulator; use the world object itself, or --world module:factory"
+    hint = "a file cannot contain the code of your simulator. Use the world object itself, or --world module:factory"
     known = ", ".join(sorted([*BUILT_IN, *SIMULATORS]))
     raise WorldError(
         field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint if kind == OWN else ""
@@ -97,7 +97,9 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         config = values.get("config")
         path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
         if not _may_name(path):
-            fix = "a corpus file must not name other code. For your own vehicle class, import its module first"
+            fix = (
+                "to use your own vehicle class, first import its module, because a corpus file cannot import other code"
+            )
             expected, place = "a class in highway_env.vehicle", "world.config.other_vehicles_type"
             raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
@@ -127,12 +129,12 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     # Imported only here, because the simulators import this module.
     simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
     try:
-        return SimulatorWorld.of(simulator, values["data"])
+        return SimulatorWorld.from_dict(simulator, values["data"])
     except WorldError:
         raise
     except Exception as error:
         expected, fix = f"data for pafot.{kind}", f"the class raised {type(error).__name__}: {error!s:.200}"
-        raise WorldError(field="world.data", expected=expected, received=shown(values["data"]), fix=fix) from error
+        raise WorldError(field="world.data", expected=expected, received=safe_repr(values["data"]), fix=fix) from error
 
 
 def described(world: BaseWorld) -> dict[str, Any]:
@@ -146,13 +148,13 @@ def described(world: BaseWorld) -> dict[str, Any]:
     return {**own, "data": data}
 
 
-def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> BaseWorld:
+def world_of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> BaseWorld:
     """Create the world that a file describes, with runs and decisions no longer than in the test's world ``own``.
 
     Raises:
-        WorldError: as for :func:`from_dict`, or if :func:`within` cannot shorten the runs of a simulator.
+        WorldError: as for :func:`from_dict`, or if :func:`limit_durations` cannot shorten the runs of a simulator.
     """
-    world = from_dict(within(data, scenario, own))
+    world = from_dict(limit_durations(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
         return world
     for what, asked, most in (
@@ -167,10 +169,10 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None =
     return world
 
 
-def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
+def limit_durations(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
     """Return a world's data, changed so that runs and decisions take no longer than in the test's world ``own``.
 
-    A file from an untrusted source must not decide how long a session takes. Of a longer run, only the start is
+    A file from an untrusted source must not decide how long a session takes. If a run is longer, only its start is
     simulated.
     """
     limits: dict[str, float] = {}
@@ -179,7 +181,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = 
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
-        # A run may have as many ticks as the longest run in the test's world. A longer run is cut.
+        # A run may have as many ticks as the longest run in the test's world. A longer run is shortened.
         config, longest = data.get("config"), _longest(data, own)
         given = data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None
         asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
@@ -188,18 +190,18 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = 
     return {**data, **limits}
 
 
-def cuts(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how :func:`within` shortens the run in a file."""
-    longest = within(data, scenario, own).get("duration")
+def describe_limits(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
+    """Describe how :func:`limit_durations` shortens the run in a file."""
+    longest = limit_durations(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
 
 def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
-    # The duration with as many ticks in the file's world as the longest run has in the test's world [s].
+    # The duration [s] with as many ticks in the file's world as the longest run has in the test's world.
     config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
-        # On a short road, runs end before the requested duration, which is the duration in files.
+        # Files contain the requested duration, although runs end earlier on a short road.
         seconds = float(own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"])
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
@@ -210,11 +212,11 @@ def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
 
 
 def is_code(data: Mapping[str, Any]) -> bool:
-    """Return whether a file's world consists of code, which only the test can provide."""
+    """Return whether a file's world is defined in code, which only the test can provide."""
     return data.get("kind") == OWN or "wrappers" in data
 
 
-def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
+def check_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """Return ``world``, the test's world, if it matches the world in the file.
 
     Raises:
@@ -222,36 +224,36 @@ def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """
     now = described(world)
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
-        expected = "a file of a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
+        expected = "a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
         received = f"{_title(data)} with its own rollout, which is no longer supported"
         fix = "derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file"
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
-    expected = f"{_title(data)}, the world in which the scenario was saved"
+    expected = f"{_title(data)}, as in the saved scenario"
     way = "a file cannot contain code, so set the world with @pafot.search(world=...), pafot_world or --world"
     fix = f"{way}. If only the name of the world has changed, write the new name into the file"
     raise WorldError(expected=expected, received=_title(now), fix=fix)
 
 
-def of_named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
-    """Return the file's world, or the user's ``world`` if the file's world is code."""
-    same = named(data, world)
+def file_or_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
+    """Return the file's world, or the user's ``world`` if the file's world is defined in code."""
+    same = check_named_world(data, world)
     return same if is_code(data) else from_dict(data)
 
 
 def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from the file's world, if that world is code."""
+    """Describe how the test's world differs from the file's world, if the latter is defined in code."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))
 
 
-def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
-    """Describe how the test's world differs from the world of a replay, unless the file's world is code."""
+def describe_world_change(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
+    """Describe how the test's world differs from the world of a replay, unless code defines the file's world."""
     if is_code(data):
         return []
-    return differences("world", described(of_file(data, scenario, own)), described(own))
+    return differences("world", described(world_of_file(data, scenario, own)), described(own))
 
 
 def _title(data: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""A world's environment, which is checked, has no random traffic, and is in the requested wrappers."""
+"""Creation and checks of a world's environment, with the requested wrappers but without random traffic."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 # Options that this package replaces while scenarios run: those for traffic, and one that depends on the machine.
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
 
-# All options of highway-env for other vehicles, which NPCs replace in a search.
+# All highway-env options for vehicles other than the ego. NPCs replace these vehicles in a search.
 TRAFFIC_OPTIONS = (
     *TRAFFIC,
     "vehicles_count",
@@ -61,11 +61,11 @@ TRAFFIC_OPTIONS = (
     "other_vehicles_type",
     "incoming_vehicle_destination",
 )
-# These have no effect on an ego that decides without the environment's observations and actions.
+# These options have no effect on an ego that decides without the environment's observations and actions.
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
 
-# The largest accepted values of options that affect how long highway-env computes. With these values, it takes seconds
-# to make an environment.
+# The largest accepted values of options that affect how long highway-env computes. With these values, creating
+# an environment takes seconds.
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
         "lanes_count": 20,
@@ -85,7 +85,7 @@ LARGEST: Mapping[str, float] = MappingProxyType(
     }
 )
 # The smallest accepted values of options by which highway-env divides: pixels per metre, and metres per cell, which is
-# also its step along each lane.
+# also the step along each lane.
 SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 0.05})
 # The largest accepted number of entries of options that are lists.
 LONGEST: Mapping[str, int] = MappingProxyType(
@@ -104,23 +104,23 @@ MOST_CELLS = 250_000
 # The largest accepted number of values in an observation: 40 features of the largest grid, or four images of 1920 by
 # 1080.
 MOST_NUMBERS = 10_000_000
-# A part of an observation counts as at least this many values, because even a small part takes milliseconds.
+# A part of an observation counts as at least this many values, because even a small part takes milliseconds
+# to compute.
 LEAST_NUMBERS = MOST_NUMBERS // 20
 
 # The attributes through which highway-env accesses the ego. A run replaces this ego.
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 
-# The methods that report after a step that the episode is over.
+# The methods that report, after a step, whether the episode is over.
 ENDS = ("_is_terminated", "_is_truncated")
 # The classes of highway-env that terminate episodes only after a crash, or when the ego leaves a curved road. Both end
 # runs anyway.
 ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv")
 
-# The methods that only `step` and `reset` of an environment call. Runs do not need them.
+# The methods that are called only by an environment's `step` and `reset`. Runs do not need them.
 LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
 
-# The number of resets that are compared, which is lower with wrappers. These can be slow, for example if one records
-# videos.
+# The numbers of compared resets without and with wrappers. Wrappers can be slow, for example if they record videos.
 RESETS, RESETS_IN_WRAPPERS = 10, 4
 
 # Attributes of these types are values, not parts of highway-env.
@@ -129,7 +129,7 @@ PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 # Attributes of these types can be changed in place.
 MUTABLE = (list, dict, set, bytearray, deque, np.ndarray)
 
-# The time for which an environment can ignore an interruption before its worker process is ended [s].
+# The time [s] for which an environment can ignore an interruption before its worker process is ended.
 IGNORED = 0.5
 
 # The wrappers that `gymnasium.make` itself adds. They check calls or end episodes, but change neither observations nor
@@ -167,7 +167,7 @@ class EnvironmentGuard(HangGuard):
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Exclude a ``with`` block, in which other code runs, from the time of the guarded call."""
+        """Exclude other code, in a ``with`` block, from the time of the guarded call."""
         started, now = self.started, self.clock()
         self.decision_ends()
         try:
@@ -182,7 +182,7 @@ class EnvironmentGuard(HangGuard):
 
 
 def _interrupted_method(error: AdsHang) -> str:
-    # Prefer the innermost method of the user, because a wrapper in an endless loop spends most of its time in the
+    # Prefer the user's innermost method, because a wrapper in an endless loop spends most of its time in the
     # environment.
     found, is_own = "the environment", False
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -211,7 +211,7 @@ class GymEnvironment:
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """Guard a call of an environment in a ``with`` block outside a run.
+        """Guard a call of an environment outside a run, in a ``with`` block.
 
         Raises:
             WorldError: if the call does not return in time.
@@ -222,21 +222,20 @@ class GymEnvironment:
         except WorldHang as error:
             fix = "correct the environment, or increase the world's hang_limit"
             expected = "an environment whose methods return in time"
-            raise WorldError(field="env_id", expected=expected, received=f"one where {error}", fix=fix) from error
+            raise WorldError(field="env_id", expected=expected, received=f"one in which {error}", fix=fix) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
-        """Create an environment in all its wrappers, with or without random traffic.
+        """Create an environment, including all its wrappers, with or without random traffic.
 
-        A user's environment that cannot be reset without other vehicles keeps its traffic at the start, and the NPCs
-        then replace that traffic.
+        If a user's environment cannot be reset without other vehicles, it keeps them at first. NPCs then replace them.
         """
-        # Reject first what would take minutes to make.
+        # First reject an environment that would take minutes to create.
         creator, given = _creator(self.env_id), self.config or {}
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
         try:
-            # Constants that an environment changes, for example in its __init__, apply in episodes of its own traffic.
+            # In episodes with its own traffic, an environment keeps the constants that it changes, as in its __init__.
             kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
             with kept as changed, self.in_time():
                 env = _make_environment(self.env_id, creator, self._given_config, has_traffic=has_traffic)
@@ -244,7 +243,7 @@ class GymEnvironment:
         except WorldError:
             raise
         except Exception as error:
-            # highway-env's own environments need no traffic, and with too much of it, a second try would take long.
+            # highway-env's own environments need no traffic. With too much traffic, a second attempt would take long.
             is_stock = str(getattr(creator, "__module__", "")).startswith("highway_env.")
             is_much = any(_exceeded("vehicles_count", given.get(name)) for name in REPLACED)
             if not (has_traffic or is_stock or is_much):
@@ -253,12 +252,12 @@ class GymEnvironment:
             expected = f"a configuration that the environment {self.env_id} accepts"
             if not given:
                 field, received = "env_id", repr(self.env_id)
-                expected = "an environment that gymnasium.make can create and that can be reset with seed 0"
+                expected = "an environment that can be created with gymnasium.make and reset with seed 0"
             fix = f"the environment raised {type(error).__name__}: {error!s:.200}"
             raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
-        # Without these wrappers, the policy might receive other observations than it was made for.
+        # Without these wrappers, the policy might not receive the observations that it was made for.
         added = wrapper_names(env)
         if self.wrappers is None and added:
             raise WorldError(
@@ -298,10 +297,10 @@ class GymEnvironment:
         return outer
 
     def _check_resets(self) -> None:
-        # If resets with the same seed differ, for example by the number of earlier episodes, runs cannot be repeated.
+        # If resets with the same seed differ, for example because they count episodes, runs cannot be repeated.
         outer = self.make()
         names, resets = wrapper_names(outer), RESETS_IN_WRAPPERS if wrapper_names(outer) else RESETS
-        first = {} if names else _beginning(outer)  # wrappers have not reset it yet
+        first = {} if names else _beginning(outer)  # the wrappers have not been reset yet
         for _ in range(resets):
             with vehicle_classes_kept():
                 try:
@@ -322,18 +321,18 @@ class GymEnvironment:
                     field="env_id",
                     expected="an environment whose resets depend only on the seed, so that runs can be repeated",
                     received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
-                    fix="does it count its resets, or draw random numbers without the seed? If the difference is "
-                    "intended, make it an option in config= and set a value in each test",
+                    fix="does it count its resets, or draw random numbers without using the seed? If the difference "
+                    "is intended, make it an option in config= and set a value in each test",
                 )
 
     @property
     def wrapper_names(self) -> list[str]:
-        """The class names of all wrappers, including registered ones, the innermost first."""
+        """The class names of the wrappers, including registered wrappers, with the innermost first."""
         return wrapper_names(self.outer)
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers and traffic. Runs do not change it."""
+        """The environment without wrappers or traffic. Runs do not change it."""
         return self.outer.unwrapped
 
     @cached_property
@@ -351,7 +350,7 @@ class GymEnvironment:
 
     @cached_property
     def traffic(self) -> TrafficClass:
-        """The traffic class of the environment, to which NPCs must belong in the environment's code.
+        """The vehicle class that the environment's code expects NPCs to have.
 
         Raises:
             WorldError: if the NPCs cannot have this class.
@@ -368,8 +367,8 @@ class GymEnvironment:
             let_through(error)
             raise WorldError(
                 field="config.other_vehicles_type",
-                expected="a highway-env vehicle class that can be called with (road, position, heading, speed) and "
-                "does not move its vehicles, because the NPCs are objects of this class",
+                expected="a highway-env vehicle class that can be called with (road, position, heading, speed), and "
+                "whose vehicles a run can move, because the NPCs are objects of this class",
                 received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
                 fix="correct the class, or set the option to a different class, such as "
                 "'highway_env.vehicle.behavior.IDMVehicle'",
@@ -395,17 +394,17 @@ class GymEnvironment:
 
     @property
     def config_of_wrappers(self) -> dict[str, Any]:
-        """The configuration after a reset of the wrapped environment, or an empty dict without wrappers."""
+        """The configuration after a reset of the wrapped environment, or an empty dict if there are no wrappers."""
         return dict(self.unwrapped.config) if wrapper_names(self.outer) else {}
 
     @property
     def route(self) -> tuple[Any, ...] | None:
-        """The ego's planned route, or None if there is none or the road is straight."""
+        """The ego's planned route, or None if it has none or the road is straight."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs must call the environment's ``step``, because user code replaces it or the road's."""
+        """Return whether runs must call the environment's ``step``, because user code overrides it or ``road.step``."""
         road = self.unwrapped.road
         steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
@@ -419,9 +418,10 @@ class GymEnvironment:
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
-        """The environment's methods that can end an episode before the run would end.
+        """The methods with which the environment can end an episode before the run is over.
 
-        Every run ends at a contact, after its duration and, unless the road is straight, when the ego leaves the road.
+        Regardless of them, a run ends at a contact, at the end of its duration or, on a curved road, when the ego
+        leaves the road.
         """
         found, cls, config = [], type(self.unwrapped), self.unwrapped.config
         for name in ENDS:
@@ -435,9 +435,9 @@ class GymEnvironment:
 
     @cached_property
     def step_limit(self) -> int | None:
-        """The step limit of gymnasium's ``TimeLimit`` for an episode, or None without a limit.
+        """The step limit of gymnasium's ``TimeLimit`` for an episode, or None if there is no limit.
 
-        A limit that encloses other wrappers is ignored here, because these wrappers may repeat steps.
+        A ``TimeLimit`` around other wrappers is ignored here, because these wrappers may repeat steps.
         """
         inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return min((each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None)
@@ -453,10 +453,9 @@ class GymEnvironment:
 
     @cached_property
     def ends_in_steps(self) -> bool:
-        """True if runs must call ``step`` to find out if an episode has ended.
+        """True if runs must call ``step`` to find out whether an episode has ended.
 
-        A wrapper, a step limit that encloses other wrappers, or the environment's own ``step`` can then end the
-        episode.
+        This is the case if a wrapper, a step limit around other wrappers, or the environment's own ``step`` can end it.
         """
         others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return self.has_own_step or any(
@@ -465,7 +464,7 @@ class GymEnvironment:
 
     @cached_property
     def sets_ends(self) -> bool:
-        # True if the environment sets these methods on itself. Copies would then call the methods of the original.
+        # True if methods of `ENDS` are attributes of the object itself. Its copies would call the original's methods.
         return any(name in vars(self.unwrapped) for name in ENDS)
 
     @cached_property
@@ -494,7 +493,7 @@ class GymEnvironment:
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The user's methods for rewards, infos and ends that change attributes, with the names of these attributes.
+        """The user's reward, info and end methods that change attributes, with the names of these attributes.
 
         Runs that are not episodes of the environment do not call them.
         """
@@ -525,8 +524,8 @@ class GymEnvironment:
         if self._keeper:
             raise WorldError(
                 field="env_id",
-                expected="an environment that reads its ego as self.vehicle",
-                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` keeps the ego of its reset",
+                expected="an environment that accesses its ego only through self.vehicle",
+                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` still has the ego of the last reset",
                 fix="read self.vehicle each time, because every run has a new ego",
             )
 
@@ -546,7 +545,7 @@ class GymEnvironment:
     def without_effect(
         self, *, is_planner: bool, drives_itself: bool, simulates: bool, ends: bool
     ) -> dict[str, list[str]]:
-        """Return the options that have no effect in a search, grouped by the reason.
+        """Return the options that have no effect in a search, grouped by reason.
 
         Args:
             is_planner: whether the ego decides in SI units.
@@ -566,11 +565,11 @@ class GymEnvironment:
             elif name in POLICY_OPTIONS and (is_planner or drives_itself):
                 told = "the ego decides without the environment's observations and actions"
             elif name == "ego_spacing" and is_straight:
-                told = "headway= of the world sets the gaps at the start"
+                told = "the world's headway= sets the gaps at the start"
             elif name == "initial_lane_id" and is_straight and given[name] is not None:
                 told = f"write ego_lane={given[name]!r:.20}"
             elif name == "offroad_terminal" and is_straight and given[name] and not ends:
-                told = "runs on a straight road continue, and run.off_road reports that the ego left it"
+                told = "runs continue after the ego leaves a straight road, which run.off_road reports"
             elif name in ("offroad_terminal", "terminate_off_road") and not is_straight and not given[name]:
                 told = "runs on this road end when the ego leaves it"
             if told:
@@ -623,7 +622,7 @@ def _beginning(outer: Any) -> dict[str, str]:
 
 
 def _assigned(cls: Any, name: str) -> list[str]:
-    # The attributes that a method assigns, also by calls of its object's other methods; none without source code.
+    # The attributes that a method assigns, directly or through other methods of its object; none without source code.
     found, names = dict[str, None](), [name]
     for called in names:
         functions = [vars(each).get(called) for each in cls.__mro__]
@@ -657,7 +656,7 @@ def has_own_act(road: Any) -> bool:
 
 
 def wrapper_names(env: Any) -> list[str]:
-    """Return the class names of an environment's wrappers except gymnasium's, with the innermost first."""
+    """Return the class names of an environment's wrappers, except those in ``NEUTRAL``, with the innermost first."""
     return [type(each).__name__ for each in wrappers_of(env) if type(each) not in NEUTRAL]
 
 
@@ -722,7 +721,7 @@ def _creator(env_id: str) -> Any:
         )
         meant = f"did you mean {near[0]!r}? " if near else ""
         fix = (
-            f"{meant}highway-env's straight roads are {' and '.join(known)}. For your own environment, first "
+            f"{meant}highway-env's straight roads are in {' and '.join(known)}. To use your own environment, first "
             f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}"
         )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
@@ -739,7 +738,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Reject values with which highway-env would compute for minutes, except for unknown options."""
+    """Reject values of known options with which highway-env would compute for minutes."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -771,7 +770,7 @@ def _check_size(place: str, config: Any) -> None:
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """Return the limit that an option's value, or an item of its list, exceeds, or an empty string."""
+    """Describe the limit that an option's value, or an item of its list, exceeds, or return an empty string."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
@@ -798,7 +797,7 @@ def _cells(grid: Mapping[str, Any]) -> float:
 
 
 def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
-    # An estimate that ignores the kinds of observations with other limits.
+    # An estimate that ignores the sizes of observations that other limits restrict.
     if not isinstance(observation, Mapping):
         return 0.0
 
@@ -832,10 +831,10 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
             expected = f"a number such as {default[name]!r}"
             raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
     if (egos := env.config.get("controlled_vehicles", 1)) != 1:
-        fix = "the other vehicles are the NPCs"
+        fix = "all other vehicles are NPCs"
         raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
     if env.config.get("manual_control"):
-        expected, fix = "False, because the policy drives", "omit it"
+        expected, fix = "False, because the policy drives", "omit this option"
         received = repr(env.config["manual_control"])
         raise WorldError(field="config.manual_control", expected=expected, received=received, fix=fix)
     for name, module in (("observation", observation), ("action", action)):
@@ -845,7 +844,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
-    """Reject options of observations and actions that highway-env would ignore, including nested ones."""
+    """Reject options of observations and actions that highway-env would ignore, including nested options."""
     if isinstance(given, list):
         for index, inner in enumerate(given):
             _check_names(f"{place}[{index}]", inner, known)
@@ -892,7 +891,7 @@ def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_t
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace each value that is equivalent to the environment's default, such as a list for a tuple, with it."""
+    """Replace a value that is equivalent to the environment's default, such as a list for a tuple, with the default."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

@@ -1,4 +1,4 @@
-"""A world with the road, observations, actions and rates of a registered environment that derives from highway-env."""
+"""A world with the road, observations, actions and rates of a registered environment derived from highway-env."""
 
 from __future__ import annotations
 
@@ -40,18 +40,19 @@ if TYPE_CHECKING:
 Ends = Literal["environment", "duration"]
 ENDS: tuple[Ends, ...] = get_args(Ends)
 
-# The duration of a run in the paper [s]. It is the default on curved roads, and if an environment specifies none.
+# The duration [s] of a run in the paper. It limits the default on curved roads, and is the default if an environment
+# specifies no duration.
 LONGEST_RUN = 60.0
 
 
 @dataclass(frozen=True)
 class World(BaseWorld):
-    """A world on the road of a registered gymnasium environment of a class derived from highway-env's ``AbstractEnv``.
+    """A world on the road of a registered gymnasium environment that is derived from highway-env's ``AbstractEnv``.
 
     The policy receives the observations of the environment and returns actions. The policy's factory can have a
     parameter ``env``, for a planner that simulates inside the environment. The policy can also be a highway-env vehicle
-    class, which drives itself. With ``planner_hz``, the policy is a planner in SI units, as in
-    :class:`pytest_pafot.Highway`. The NPCs replace the environment's random traffic.
+    class, which drives itself. If ``planner_hz`` is set, the policy is a planner in SI units, as
+    in :class:`pytest_pafot.Highway`. The NPCs replace the environment's random traffic.
 
     Attributes:
         env_id: id of the registered environment, such as ``"highway-v0"``.
@@ -99,7 +100,7 @@ class World(BaseWorld):
         if self.planner_hz is not None:
             object.__setattr__(self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ))
         if self.ends not in ENDS:
-            raise WorldError(field="ends", expected=f"one of {', '.join(ENDS)}", received=f"{self.ends!r:.200}")
+            raise WorldError(field="ends", expected=" or ".join(map(repr, ENDS)), received=f"{self.ends!r:.200}")
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
@@ -136,7 +137,7 @@ class World(BaseWorld):
 
     @property
     def lanes(self) -> int:
-        # On a road that is not straight, the number along the ego's path.
+        # On a curved road, the number of lanes along the ego's path.
         return self.road.lane_count
 
     @property
@@ -180,7 +181,7 @@ class World(BaseWorld):
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             WorldError: if the environment cannot be used.
-            Exception: any exception that the factory raises. An exception in the policy ends the run as ``ads_error``.
+            Exception: any exception of the factory. An exception in the policy ends the run with ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -198,7 +199,7 @@ class World(BaseWorld):
         if not drives_itself:
             self.environment.check_keeps_no_ego()
         if not drives_itself or self.rules.ends:
-            self.environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot be of its class)
+            self.environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot have its class)
         # An ego that acts through wrappers, or in an environment with its own `step`, needs complete episodes.
         has_wrappers = self.wrappers is not None and not drives_itself
         if has_wrappers or self.environment.episodes_itself(drives_itself=drives_itself):
@@ -263,7 +264,7 @@ class World(BaseWorld):
         return GymEnvironment(self.env_id, self.config, self.wrappers, self.hang_limit)
 
     def make(self) -> Any:
-        """Create a new environment without traffic, in all its wrappers."""
+        """Create a new environment with all its wrappers, but without traffic."""
         return self.environment.make()
 
     @property
@@ -308,20 +309,20 @@ class World(BaseWorld):
         if (steps := self.environment.step_limit) is None or not is_known:
             return made
         limit = steps * made.step_ticks
-        # If no duration is stated, as in two-way-v0, the limit is the intended duration, so it ends no run early.
+        # If no duration is set, as in two-way-v0, the limit is the intended duration, so no run ends early.
         is_early = limit < duration * physics_hz and (self.duration is not None or "duration" in config)
         return replace(made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz))
 
     @property
     def _wanted(self) -> float:
-        # The duration on a straight road: `duration`, or the environment's own [s].
+        # The duration [s] on a straight road: `duration` or, if it is None, the environment's own duration.
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
-        # The longest duration on other roads [s].
+        # The longest duration [s] on curved roads.
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)

@@ -18,13 +18,13 @@ BEND_SHARE = 0.8
 # The defaults of worlds: the gap between the ego and the cells ahead of and behind it [m], the time gap at which NPCs
 # start in these cells [s], and the wall-clock limit of a decision [s].
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
-# Decisions of a planner per second, as on a Highway. An episode with fewer ticks per second has one at each tick.
+# Decisions of a planner per second, as in a Highway. If there are fewer ticks per second, each tick has a decision.
 PLANNER_HZ = 5
-# The environment option for the lanes in which highway-env's IDM looks for other vehicles. Only egos of its class look
-# there.
+# The environment option that lets highway-env's IDM also look for vehicles in connected lanes. Only egos of its class
+# do so.
 CONNECTED = "neighbour_vehicles_connected_lanes"
-# The smallest and largest accepted value of each limit, and the reason for the error message. With other values, the
-# computation of an NPC's controls is not reliable.
+# The smallest and largest accepted value of each limit, and the reason that the error message gives. With other
+# values, the computation of an NPC's controls is not reliable.
 BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0, ""),
@@ -67,7 +67,7 @@ class NpcLimits:
         for name, bounds in BOUNDS.items():
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
-    def of(self, vehicle: VehicleType) -> NpcLimits:
+    def for_vehicle(self, vehicle: VehicleType) -> NpcLimits:
         """Return the limits for NPCs of a vehicle type, which can be lower than these limits."""
         if vehicle is CAR:
             return self  # the result of the code below, but faster
@@ -82,14 +82,14 @@ class NpcLimits:
         """
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:
-            why = f"NPCs can reach {self.overspeed:g} times it, and highway-env's top speed is {TOP_SPEED:g} m/s"
+            why = f"NPCs can drive {self.overspeed:g} times the limit, and highway-env's top speed is {TOP_SPEED:g} m/s"
             expected = f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
             raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed
 
 
 # The end of error messages for users whose simulator is not highway-env.
-OTHER_KIND = 'a pafot.Simulator for it, to use in a pafot.SimulatorWorld (see the page "A simulator of your own")'
+OTHER_KIND = 'a pafot.Simulator, and use it in a pafot.SimulatorWorld (see the page "A simulator of your own")'
 
 # The smallest and largest accepted rates: physics ticks, and decisions per second.
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
@@ -99,7 +99,7 @@ MOST_TICKS = 400_000
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """Return ``value`` as a float. If it is not a number from ``low`` to ``high``, raise an error with ``why``."""
+    """Return ``value`` as a float, or raise an error with ``why`` if it is not a number from ``low`` to ``high``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
@@ -128,8 +128,8 @@ def plain_data(name: str, value: Any) -> Any:
         return plain_data(name, value.tolist())
     if value is None or (isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value))):
         return value
-    expected = "JSON-compatible data (numbers, strings, lists, mappings), which a corpus file can contain"
-    raise WorldError(field=name, expected=expected, received=repr(value))
+    fix = "use numbers, strings, lists and mappings, which a corpus file can contain"
+    raise WorldError(field=name, expected="JSON-compatible data", received=repr(value), fix=fix)
 
 
 def check_ticks(duration: float, physics_hz: float) -> None:

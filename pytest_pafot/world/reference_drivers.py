@@ -32,10 +32,11 @@ GRAVITY = 9.81
 DELAY = 0.75
 # A risk must last this long to be perceived (UN R157) [s].
 PERCEPTION = 0.4
-# Below this time to collision, a vehicle that cuts in is a risk; above this braking, a leader is (UN R157) [s, m/s^2].
+# A vehicle that cuts in is a risk below this time to collision [s]. A leader is a risk above this braking [m/s^2]
+# (UN R157).
 TIME_TO_COLLISION, LEADER_BRAKING = 2.0, 5.0
-# The largest offset from the lane's centre of a vehicle that keeps its lane. A larger one distinguishes a cut-in from
-# wandering (UN R157) [m].
+# The largest offset from its lane's centre at which a vehicle keeps its lane. A larger offset distinguishes a cut-in
+# from wandering (UN R157) [m].
 KEEPING = 0.375
 # The deceleration of hard braking (UN R157) [m/s^2].
 HARD_BRAKING = 0.774 * GRAVITY
@@ -62,22 +63,22 @@ SPEED_GAIN = 0.5
 CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
 # The distance between a waiting driver and the zone [m].
 LINE = 1.0
-# The driver starts to stop before a zone at this required braking: the comfortable braking of Treiber et al. (2000)
-# [m/s^2].
+# The driver starts to brake for a zone when stopping requires this braking, the comfortable braking of Treiber et al.
+# (2000) [m/s^2].
 STOPPING = 2.0
 # Predictions of arrivals at a zone assume at least this speed, because a slow or stationary vehicle may set off [m/s].
 CREEPING = 2.0
 # A vehicle that has been slower than this speed [m/s] for this time [s] is assumed to let other vehicles go first.
 STANDING, PATIENCE = 0.3, 2.0
-# The smallest time from a vehicle's exit out of a zone to the driver's entry [s].
+# The shortest time between a vehicle's exit from a zone and the driver's entry [s].
 CLEAR = 0.5
 
-# The tolerance of comparisons of times. Without it, rounding could delay a reaction by a tick [s].
+# The tolerance in comparisons of times [s]. Without it, rounding could delay a reaction by a tick.
 EPSILON = 1e-6
 
 # Steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
-# The driver watches for this time before it takes over [s]. It is long enough to notice every vehicle.
+# Before a takeover, the driver watches for this time [s], which is long enough to notice every vehicle.
 WATCHED = 6.0
 
 
@@ -112,7 +113,7 @@ class ReferenceDriver(ABC):
     # The jerk with which braking builds up [m/s^3].
     JERK = HARD_BRAKING / BUILD_UP
 
-    # The time of the observation, and the time since the previous one [s].
+    # The time of the observation, and the time since the previous observation [s].
     now: float = 0.0
     step: float = 0.0
     # For each condition that is true now, the time at which it became true [s].
@@ -122,7 +123,7 @@ class ReferenceDriver(ABC):
     wanted: float | None = None
     # The acceleration of the last decision, from which braking builds up [m/s^2].
     acceleration: float = 0.0
-    # Speed [m/s] and half of the length [m] of the ego along the road.
+    # The ego's speed [m/s] and half its length [m] along the road.
     own_speed: float = 0.0
     own_half: float = 0.0
     # The other vehicles' speeds along the road [m/s], decelerations [m/s^2], y [m] and speeds to the right [m/s].
@@ -187,7 +188,7 @@ class ReferenceDriver(ABC):
             needed = ego.speed**2 / (2 * max(room, LINE / 2))  # near the line: no hard braking for a few cm
             return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
         in_the_way = other.is_inside and other.ahead > 0
-        return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
+        return -self.HARDEST if in_the_way else math.inf  # it is too late to stop, so the ego leaves the zone
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
         """Return whether the driver waits before a zone until a vehicle has passed, or has left room behind it."""
@@ -225,7 +226,7 @@ class ReferenceDriver(ABC):
         return self.now - self.since.setdefault(condition, self.now)
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
-        """Return a vehicle in any lane as a leader, or None unless its centre is ahead of the ego's centre."""
+        """Return a vehicle in any lane as a leader, or None if its centre is not ahead of the ego's centre."""
         ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
@@ -246,7 +247,7 @@ class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
     The driver needs 0.4 s to perceive a danger and another 0.75 s to start braking, and then brakes at up to 0.774 g
-    until the danger is over. Without danger, the driver needs the same time before it reacts to a new vehicle ahead.
+    until the danger is over. Without danger, the driver needs the same time to react to a new vehicle ahead.
     """
 
     brakes_from: float = math.inf
@@ -278,7 +279,7 @@ class CarefulHuman(ReferenceDriver):
             if leader is None:
                 continue
             is_over &= leader.closing <= 0 and not critical
-            # The rules count the step to the first tick of a danger, too, in which the leader braked already.
+            # The rules also count the step to the first tick of a danger, because the leader already braked in it.
             if danger + self.step >= PERCEPTION - EPSILON:
                 # A foot that was moved for this vehicle before it became a danger is not moved again.
                 is_at_brake = foot >= danger or slowing >= PERCEPTION + DELAY - EPSILON
@@ -346,7 +347,7 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     # it still does while it pauses over the line.
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
-    if other.lane == ego.lane:  # Its centre is over the line, and its box, if it is narrow, not yet in the ego's way.
+    if other.lane == ego.lane:  # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
         offset += lane_width
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2

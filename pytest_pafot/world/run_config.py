@@ -1,4 +1,4 @@
-"""The rules that all runs in a world share, with checks of scenarios and the start positions of vehicles."""
+"""The rules that all runs in a world share, the checks of scenarios, and the start positions of vehicles."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Rules:
     ends: tuple[str, ...] | None = None
     # True if a step of the environment or a wrapper may also end a run (`EpisodeEnds`).
     ends_in_steps: bool = False
-    # The number of ticks after which the environment's limit of steps ends a run.
+    # The number of ticks after which the environment's step limit ends a run.
     step_limit: int | None = None
 
     @property
@@ -137,7 +137,7 @@ class Rules:
             if not self.road.can_drive(vehicle, zone):
                 expected = f"a vehicle that can follow the bends of {zone or 'the road'}"
                 least = vehicle.length / (TIGHTEST * CAR.length)
-                fix = f"it needs a radius of at least {least:.1f} m. Give the NPC a shorter vehicle or another path"
+                fix = f"it needs bend radii of at least {least:.1f} m. Give the NPC a shorter vehicle or another path"
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
@@ -149,7 +149,7 @@ class Rules:
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
-        """Raise an error for a scenario in which the ego starts at a fixed object, or too close to one to stop."""
+        """Raise an error for a scenario in which the ego starts at a fixed object, or too close to it to stop."""
         road, speed = self.road, scenario.ego_speed
         x, y, _ = road.position(self.ego_start, scenario.ego_lane)
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
@@ -177,14 +177,11 @@ class Rules:
         most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
         slots = [slot / SLOT_STEPS_PER_SECOND for slot in range(-most, most + 1)]
         slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
-        fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "a different zone or speed"
-        expected = (
-            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, so that the NPC starts on its path before "
-            "the zone"
-        )
-        received = (
-            f"{instruction.slot:g} s, with which the NPC starts at {crossings.start(instruction):.0f} m of its path"
-        )
+        given = f"{instruction.zone} and {instruction.speed:g} m/s"
+        fits = f"a slot from {min(slots):g} to {max(slots):g} s at" if slots else "a zone or speed other than"
+        expected = f"{fits} {given}, so that the NPC starts on its path before the zone"
+        along = crossings.start(instruction)
+        received = f"{instruction.slot:g} s, with which the NPC would start {along:.0f} m along its path"
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
     def _check_speeds(self, scenario: Scenario) -> None:
@@ -211,7 +208,7 @@ class Rules:
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
 ) -> tuple[list[float], list[tuple[float, float, float, float]]]:
-    """Return the positions [m] of all vehicles along their paths at tick 0, ego first, and each NPC's start.
+    """Return the positions [m] of all vehicles along their paths at tick 0, with the ego first, and each NPC's start.
 
     A start consists of x [m], y [m], heading [rad] and speed [m/s].
     """
@@ -221,7 +218,7 @@ def starts_of(
     for cell, kind in zip(director.first_cells(), around, strict=True):
         lane, far = scenario.ego_lane + cell.column, apart + (kind.length - CAR.length) / 2
         if kind.length > CAR.length and not road.has_lane(lane, start + cell.row * far):
-            far = apart  # here, where the lane ends, there is only room for a car
+            far = apart  # where the lane ends, there is room only for a car
         along, wanted = start + cell.row * far, min(rules.ego_speed(scenario), kind.top_speed)
         pose, speed = road.position(along, lane, kind), road.start_speed(wanted, lane, along, kind)
         starts.append((along, (*pose, speed)))

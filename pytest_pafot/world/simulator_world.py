@@ -62,14 +62,14 @@ if TYPE_CHECKING:
         "ego": VehicleType | VehicleName, "hang_limit": float,
     }, total=False)  # fmt: skip
 
-# The lane width if a simulator states none [m].
+# The lane width if a simulator sets none [m].
 LANE_WIDTH = 4.0
 MOST_LANES = 12
 # The smallest length of a road [m].
 LEAST_LENGTH = 100.0
 # A straight road must be long enough for this time at top speed [s]. If it is too short for `duration`, runs end early.
 LEAST_RUN = 20.0
-# The length of road behind the ego's start if a simulator does not state where it starts [m].
+# The length of road behind the ego's start if a simulator does not set `start_at` [m].
 ROOM_BEHIND = 150.0
 
 
@@ -97,7 +97,7 @@ class SimulatorWorld(BaseWorld):
 
     Attributes:
         simulator: class of the simulator, or a function without parameters that creates one.
-        ads_hz: decisions of the policy per second. The value must be the ticks per second divided by a whole number.
+        ads_hz: decisions of the policy per second. The ticks per second must be a multiple of this value.
             The default is 5, or the next higher possible value.
         duration: longest duration [s] of a run.
         clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. The time limit for the
@@ -168,14 +168,14 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def moves_ego_only(self) -> bool:
-        """True if the simulator moves only the ego, so that controls can take effect late or only partly."""
+        """True if the simulator moves only the ego, and puts NPCs into the states of their controls."""
         return self._stated.moves_ego_only
 
     @property
     def packages(self) -> tuple[str, ...]:
         """The packages that the simulator's class lists, or none if a function creates the simulator."""
         maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
-        return getattr(maker, "packages", ())  # of the class, because making a simulator may fail
+        return getattr(maker, "packages", ())  # of the class, because creating a simulator may fail
 
     @property
     def speed_limit(self) -> float:
@@ -183,7 +183,7 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def road(self) -> Road:
-        """The road: a straight road, or the ego's path along lanes of any shape."""
+        """The straight road, or the ego's path along lanes of any shape."""
         return self._on_road.road
 
     @cached_property
@@ -194,7 +194,7 @@ class SimulatorWorld(BaseWorld):
         ends = 2 * ego_start(self.headway, self.clearance)
         lines = self._lines
         if lines is None:
-            # A straight road without an end is as long as a run needs, even if it is continued.
+            # A straight road without an end is as long as a run needs, even a continued run.
             length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
             return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
         from pytest_pafot.world.roads.survey import network_of, straight_along  # noqa: PLC0415  (not in each world)
@@ -240,14 +240,14 @@ class SimulatorWorld(BaseWorld):
     @cached_property
     def _rules(self) -> Rules:
         road, duration, hz = self.road, self.duration, self.physics_hz
-        # Without `ads_hz`, the number of ticks between decisions is the largest one that gives at least 5 decisions per
-        # second, and divides the ticks of a second if these are whole.
+        # Without `ads_hz`, decisions are as far apart as possible, with at least 5 per second. If the ticks per second
+        # are a whole number, they are a multiple of the ticks between decisions.
         slowest = int(hz / PLANNER_HZ + 1e-9)
         every = next(each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0)
         if self.ads_hz is not None:
             every = max(round(hz / self.ads_hz), 1)
             if abs(hz / self.ads_hz - every) > 1e-3 * every:
-                expected = f"{self._stated.name}'s {hz:.6g} ticks per second divided by a whole number"
+                expected = f"a rate that divides {self._stated.name}'s {hz:.6g} ticks per second"
                 near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
                 fix = f"use {' or '.join(f'{hz / each:.6g}' for each in sorted(near))}"
                 raise WorldError(field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix)
@@ -259,7 +259,7 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        # The position of an object is always that of its centre, regardless of the reference for vehicles.
+        # The position of an object is always its centre, regardless of the reference point for vehicles.
         frame, found = Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin), []
         for x, y, heading, length, width in self._stated.obstacles:
             # With a length of 0, the point of reference is the centre.
@@ -279,7 +279,7 @@ class SimulatorWorld(BaseWorld):
         asked, name = super().first_decision(scenario), self.maker.__name__
         if asked is None or not self.is_native:
             return asked
-        advice = f"{name}.observe returned this input, because native is True. Without native, {name} is for planners."
+        advice = f"{name}.observe returned this input, because native is True. For a planner, set it to False."
         return replace(asked, advice=advice)
 
     replays_in_gym = False
@@ -292,15 +292,15 @@ class SimulatorWorld(BaseWorld):
         Args:
             scenario: scenario to run.
             ads_factory: function that returns the policy. It is called once.
-            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes the later ones.
+            decisions: first decisions of the run, in the form of ``Trace.actions``. The policy makes later decisions.
 
         Raises:
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns an object that cannot drive in this world.
             BadAction: if one of the decisions is not a valid action.
             WorldError: if an attribute of the simulator cannot be used.
-            Exception: any exception that the factory or the simulator raises. An exception in the policy ends the run
-                as ``ads_error``.
+            Exception: any exception of the factory or the simulator. An exception in the policy ends the run with
+                ``ads_error``.
         """
         self.check_fits(scenario)
         policy = Policy(ads_factory)
@@ -320,7 +320,7 @@ class SimulatorWorld(BaseWorld):
             takes = "a pafot.Observation into (acceleration, steering)"
         return AdsFactoryError(
             f"ads: expected a callable that turns {takes}, as pafot.SimulatorWorld requires, "
-            f"received {given!r:.200}; use pafot.Highway for a highway-env vehicle class, or "
+            f"received {given!r:.200}. Use pafot.Highway for a highway-env vehicle class, or "
             "pafot.World for a planner that simulates"
         )
 
@@ -339,7 +339,7 @@ class SimulatorWorld(BaseWorld):
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         if is_native:
             driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
-        # A reference driver takes over from an ego that repeats the decisions of the policy, at the rate of the policy.
+        # A reference driver takes over from an ego that repeats the decisions of the policy, at the policy's rate.
         if isinstance(body, RepeatedBody):
             if self.is_native:
                 body.repeats = NativeDriver(vehicles, ads, guard, body.actions, self.rules.every)
@@ -362,8 +362,8 @@ class SimulatorWorld(BaseWorld):
         return RepeatedBody(length, width, trace.actions, tick)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return data for a corpus file, with the result of the simulator's ``to_dict`` under the key ``simulator``."""
-        # The lanes, the speed limit and the ticks are for the reader, and show whether the simulator has changed.
+        """Return the world as data for a corpus file, with the simulator's ``to_dict()`` as ``simulator``."""
+        # The lanes, the speed limit and the tick rate are for the reader, and show whether the simulator has changed.
         own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
         own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
         own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
@@ -371,7 +371,7 @@ class SimulatorWorld(BaseWorld):
         return own if self.ego == CAR else {**own, "ego": self.ego.plain()}
 
     @classmethod
-    def of(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
+    def from_dict(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
         """Create a world from the return value of :meth:`to_dict` and the simulator's class.
 
         Raises:
@@ -401,7 +401,7 @@ class _OnRoad(NamedTuple):
 
 @dataclass(slots=True)
 class _Stated:
-    """The checked attributes of a simulator, in SI units and the axes of a run, except for the units and axes."""
+    """The checked attributes of a simulator. All except its units and axes are in SI units and the axes of a run."""
 
     maker: type[Simulator]
     metres: float
@@ -533,7 +533,7 @@ def _hz(simulator: Simulator, name: str) -> float:
         dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, " seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
-        fix = "set only dt or only hz, or rename dt to _dt if it is your own attribute"
+        fix = "set either dt or hz, or rename dt to _dt if it is your own attribute"
         raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
     return whole_if_possible(hz)
 
@@ -564,7 +564,7 @@ def _check_names(cls: type[Simulator]) -> None:
             raise WorldError(
                 field=f"{cls.__name__}.{name}",
                 expected="an attribute of pafot.Simulator",
-                received="an attribute that nothing reads",
+                received="an attribute without effect",
                 fix=f"write {near[0]}, or rename it to _{name} if it is your own attribute",
             )
 
@@ -575,7 +575,7 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     except (TypeError, ValueError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        expected = "at least two points (x, y) in the direction of driving"
+        expected = "at least two points (x, y), in the direction of travel"
         raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
     line = np.array([frame.point(x, y) for x, y in points.tolist()])
     steps = np.hypot(*np.diff(line, axis=0).T)

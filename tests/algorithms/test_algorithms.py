@@ -122,15 +122,15 @@ def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evalua
 
 @table(("given", "message"), [
     ("genetic", r"expected one of random, pafot, .*, but received 'genetic'\. Use module:Class"),
-    ("rand", r"received 'rand'; did you mean 'random'\?"),
+    ("rand", r"received 'rand'. Did you mean 'random'\?"),
     ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
     ("tests.algorithms.test_algorithms:Onw", r"expected a name in the module tests.algorithms.test_algorithms, "
      r"received 'tests.algorithms.test_algorithms:Onw'\. Did you mean 'tests.algorithms.test_algorithms:Own'\?"),
     ("builtins:<lambda>",
      r"in the module builtins, received 'builtins:<lambda>'\. The module defines __build_class__, __import__"),
     (RandomSearch(), r"expected one of random, .*, a class or module:Class, but received RandomSearch\(.* the class"),
-    (Nameless, r"expected a class with name, start, ask and tell, but Nameless does not define start, tell and name\."),
-    (GenerationalSearch, r"but GenerationalSearch does not define propose, start and name\."),
+    (Nameless, r"expected a class with name, start, ask and tell, but Nameless lacks start, tell and name\."),
+    (GenerationalSearch, r"but GenerationalSearch lacks propose, start and name\."),
     (Borrowed, r"expected a unique name for Borrowed, but received 'pafot'"),
 ])  # fmt: skip
 def test_wrong_algorithm_error_names_what_is_expected(given, message):

@@ -69,4 +69,4 @@ def test_npc_caused_collision_is_rated_by_earlier_run():
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
     for run in (run_of(enters), run_of(20.0, enters)):
         assert has_interaction(run) is expected
-        assert Evaluation.of(run, fitness=0.5, failing=False).interaction is expected
+        assert Evaluation.from_trace(run, fitness=0.5, failing=False).interaction is expected

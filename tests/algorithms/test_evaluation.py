@@ -73,7 +73,7 @@ def trace(ego_speed=20.0, **fields):
 
 
 def test_an_evaluation_is_read_from_a_trace():
-    evaluation = Evaluation.of(trace(), fitness=0.5, failing=True)
+    evaluation = Evaluation.from_trace(trace(), fitness=0.5, failing=True)
     assert (evaluation.genes_started, evaluation.genes_reached, evaluation.duration) == (2, 1, 10.0)
     assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.COMPLETED, True, 0.5)
 
@@ -82,20 +82,20 @@ def test_an_evaluation_is_read_from_a_trace():
     ({}, ""),
     ({"ended": "Goal._is_terminated"}, "Goal._is_terminated"),
     ({"ended": "highway_env.envs.merge_env.MergeEnv._is_terminated"}, ""),
-    ({"outcome": Outcome.LEFT_ROUTE}, "the ego's exit from its route"),
-    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego's exit from the road"),
+    ({"outcome": Outcome.LEFT_ROUTE}, "the ego left its route"),
+    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego left the road"),
     ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 20}, ""),  # it drove on, on a straight road
     ({"outcome": Outcome.END_OF_ROAD}, ""),
 ])  # fmt: skip
 def test_an_evaluation_says_what_ended_its_run_early(fields, by):
-    evaluation = Evaluation.of(trace(**fields), fitness=0.5, failing=False)
+    evaluation = Evaluation.from_trace(trace(**fields), fitness=0.5, failing=False)
     assert (evaluation.ended, math.isfinite(evaluation.gap)) == (by, bool(by))
 
 
 @table(("ahead", "is_close"), [(46.0, True), (47.0, False)])
 def test_a_vehicle_is_close_if_it_would_be_touched_within_two_seconds(ahead, is_close):
     run = trace_of(vehicle(0.0, speed=20.0, ticks=1), vehicle(ahead, speed=0.0, ticks=1), ended="Goal._is_terminated")
-    evaluation = Evaluation.of(run, fitness=0.5, failing=False)
+    evaluation = Evaluation.from_trace(run, fitness=0.5, failing=False)
     assert math.isclose(evaluation.gap, ahead - 20 / 15 - 5)
     assert evaluation.is_close is is_close
 
@@ -139,4 +139,4 @@ def test_an_npc_that_is_nowhere_does_not_interact():
 
 @table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
 def test_ego_below_two_metres_per_second_barely_moves(speed, expected):
-    assert Evaluation.of(trace(speed), fitness=0.5, failing=False).barely_moved is expected
+    assert Evaluation.from_trace(trace(speed), fitness=0.5, failing=False).barely_moved is expected

@@ -161,7 +161,7 @@ class TestResolve:
 
     def test_a_misspelt_name_is_answered_with_the_nearest(self):
         with pytest.raises(
-            FitnessError, match=r"expected 'default', 'paper', .* or a function .* did you mean 'paper'"
+            FitnessError, match=r"expected 'default', 'paper', .* or a function .* Did you mean 'paper'"
         ):
             resolve("papr")
 

@@ -37,7 +37,7 @@ def test_a_search_that_went_well_warns_of_nothing(make_evaluation):
 def test_a_search_without_a_run_is_vacuous():
     assert Health().vacuous
     assert Health().warnings() == [
-        "no scenario was simulated, so nothing was tested. Give the search more time, or more generations."
+        "no scenario was simulated, so nothing was tested. Give the search more time or more generations."
     ]
 
 
@@ -84,7 +84,7 @@ def test_leaving_the_road_is_an_early_end_with_its_own_advice(make_evaluation):
     health = health_of(make_evaluation, (3, GOAL), (6, GOAL | {"ended": LEAVING[Outcome.OFF_ROAD]}))
     (warning,) = health.warnings()
     assert "9 of 9 runs (100 %)" in warning
-    assert "because of the ego's exit from the road (6) and GoalEnv._is_terminated (3). In 0 of them" in warning
+    assert "because the ego left the road (6) and because of GoalEnv._is_terminated (3). In 0 of them" in warning
     assert warning.endswith("Check the units and axes of the world and of the ADS's actions.")
 
 

@@ -146,7 +146,7 @@ def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
 
 def test_an_evaluation_of_another_scenario_is_refused(make_evaluation):
     plan = run_plan(Fresh(), lambda scenario: make_evaluation(), generations=1, seed=1)
-    with pytest.raises(ValueError, match="expected the evaluation of"):
+    with pytest.raises(ValueError, match="expected an evaluation of"):
         list(plan)
 
 

@@ -45,7 +45,7 @@ def collision(*instructions):
 
 
 def test_cut_in_and_braking_leader_are_distinguished():
-    leader, cut_in = (Expect.of(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
+    leader, cut_in = (Expect.from_run(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
     assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
     assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
     assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attributed
+from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attribute_collision
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
 from pytest_pafot.model.trace import ALONG, Y
 from tests.helpers.junctions import hit, plan
@@ -38,11 +38,11 @@ def longer(trace, ticks):
 def test_where_the_other_comes_from_tells_the_mistake(origin):
     trace = ignored(FROM[origin])
     assert rss_rule(trace).fault == "did-not-give-way"
-    assert attributed(trace).mistake == NOT_GIVEN_WAY[origin]
+    assert attribute_collision(trace).mistake == NOT_GIVEN_WAY[origin]
 
 
 def test_reason_says_who_entered_when_and_who_had_priority():
-    told = "The ego entered the crossing at 6.0 s, and NPC 0 from the left at 6.3 s. NPC 0 had priority."
+    told = "The ego entered the crossing at 6.0 s, and NPC 0 entered it from the left at 6.3 s. NPC 0 had priority."
     assert rss_rule(ignored()).sentences[0] == told
 
 

@@ -17,22 +17,24 @@ from tests.helpers.tables import table
 TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in group}
 NUMBER = r"(\d+\.\d)"
 PLACE = re.compile(
-    rf"NPC 0, (?:in lane (\d), )?(?:{NUMBER} m (ahead of|behind)|next to) the ego(?: and coming towards it)? "
-    rf"at {NUMBER} s, "
+    rf"At {NUMBER} s, NPC 0 was (?:in lane (\d), )?(?:{NUMBER} m (ahead of|behind)|next to) the ego"
+    r"(?: and coming towards it)?\. It "
 )
+GAP = r"(?: \((\d+\.\d) m behind NPC 0\))?"
+# The time and the gap stand before a phase, or after the first one.
 PHASE = re.compile(
-    rf"(braked|slowed|sped up)(?: from {NUMBER})? to {NUMBER} m/s(?: at up to {NUMBER} m/s\^2)?(?: from {NUMBER} s)?"
-    rf"(?: \({NUMBER} m behind NPC 0\))?"
+    rf"(?:from {NUMBER} s on{GAP} )?(braked|slowed|sped up)(?: from {NUMBER})? to {NUMBER} m/s"
+    rf"(?: at up to {NUMBER} m/s\^2)?(?: from {NUMBER} s on)?{GAP}"
 )
-PAUSE = re.compile(rf"(?:did not brake|stood still) from {NUMBER} s")
+PAUSE = re.compile(rf"(?:did not brake|stood still) from {NUMBER} s on")
 CLOSING = "after 5.4 s, closing at 8.2 m/s"
 
 
 @table(("npc", "side", "cell", "whence", "told"), [
     (None, "front", None, "", "the ego hit a fixed object"),
     (None, None, None, "", "the ego hit a fixed object"),
-    (3, "rear", Cell.REAR, "", "NPC 3 hit the ego at its rear"),
-    (3, "rear", None, "from the left", "NPC 3 hit the ego at its rear"),
+    (3, "rear", Cell.REAR, "", "NPC 3 hit the rear of the ego"),
+    (3, "rear", None, "from the left", "NPC 3 hit the rear of the ego"),
     (0, "front", None, "from the left", "the ego hit NPC 0, which came from the left,"),
     (0, "left", None, "from the left", "NPC 0, which came from the left, hit the ego's left side"),
     (0, "right", None, "from ahead", "NPC 0, which came from ahead, hit the ego's right side"),
@@ -56,7 +58,7 @@ def test_an_impact_says_who_hit_whom_and_how_fast(npc, side, cell, whence, told)
         ("front", "towards", "the ego hit NPC 0 head-on"),
         ("front", "backwards", "the ego's front hit NPC 0"),
         ("rear", "along", "NPC 0 hit the ego from behind"),
-        ("rear", "towards", "NPC 0 hit the ego at its rear"),
+        ("rear", "towards", "NPC 0 hit the rear of the ego"),
         ("rear", "backwards", "the ego drove backwards into NPC 0"),
     ],
 )
@@ -71,7 +73,7 @@ def test_an_impact_says_who_came_from_behind_only_if_that_is_known(side, way, to
     ("none", "Neither the ego nor NPC 2 is responsible."),
 ])  # fmt: skip
 def test_who_is_responsible_is_followed_by_what_a_careful_driver_does(responsibility, told):
-    careful = "A careful driver who took over 1.25 s before the impact would have avoided it."
+    careful = "A careful driver who took control 1.25 s before the impact would have avoided it."
     assert responsible_sentence(responsibility, 2) == told
     assert responsible_sentence(responsibility, 2, 1.25) == f"{told} {careful}"
     assert responsible_sentence("ego", None) == "The ego is responsible, because a fixed object does not move."
@@ -82,29 +84,29 @@ SLOWER = driven(105.0, speed=10.0)
 
 
 @table(("brakes", "told"), [
-    ([], "The ego kept 20.0 m/s and did not brake after 5.3 s."),
-    ([(6.0, -2.0, 25.0)], "kept 20.0 m/s, sped up to 25.0 m/s from 6.0 s and did not brake after 5.3 s."),
-    ([(6.0, 0.4, 18.0)], "kept 20.0 m/s, slowed to 18.2 m/s from 6.1 s and did not brake after 5.3 s."),
-    ([(8.0, 6.0, 12.0)], "20.0 m/s and braked to 12.0 m/s at up to 6.0 m/s^2 from 8.0 s (20.0 m behind NPC 0)."),
+    ([], "The ego drove at 20.0 m/s and did not brake from 5.3 s on."),
+    ([(6.0, -2.0, 25.0)], "drove at 20.0 m/s, from 6.0 s on sped up to 25.0 m/s and did not brake from 5.3 s on."),
+    ([(6.0, 0.4, 18.0)], "drove at 20.0 m/s, from 6.1 s on slowed to 18.2 m/s and did not brake from 5.3 s on."),
+    ([(8.0, 6.0, 12.0)], "20.0 m/s and from 8.0 s on (20.0 m behind NPC 0) braked to 12.0 m/s at up to 6.0 m/s^2."),
     ([(5.3, 1.0, 0.0)], "The ego braked from 20.0 to 12.7 m/s at up to 1.0 m/s^2 (46.7 m behind NPC 0)."),
     (
         [(7.0, 3.0, 17.0), (8.4, -2.0, 19.0), (9.6, 4.0, 12.0)],
-        "The ego braked to 17.0 m/s at up to 3.0 m/s^2 from 7.0 s (30.0 m behind NPC 0), sped up to 19.0 m/s from "
-        "8.0 s and braked to 13.1 m/s at up to 4.0 m/s^2 from 9.4 s.",
+        "The ego braked to 17.0 m/s at up to 3.0 m/s^2 from 7.0 s on (30.0 m behind NPC 0), from 8.0 s on sped up to "
+        "19.0 m/s and from 9.4 s on braked to 13.1 m/s at up to 4.0 m/s^2.",
     ),
 ])  # fmt: skip
 def test_deeds_are_told_from_the_danger_on(brakes, told):
     found = rss_rule(crash(driven(0.0, brakes=brakes), SLOWER))
     npc, ego = found.sentences
     assert told in ego
-    assert npc.startswith("NPC 0, ")
-    assert npc.endswith(" s, kept 10.0 m/s.")  # that a vehicle ahead did not brake is no news
+    assert npc.startswith("At 5.3 s, NPC 0 was ")
+    assert npc.endswith(" ahead of the ego. It drove at 10.0 m/s.")  # that a vehicle ahead did not brake is no news
 
 
 @table(("speed", "brakes", "told"), [
     (8.0, [(1.0, 20.0, -3.0)], r"The ego .*braked .*to 0\.0 m/s .*and drove backwards at 3\.0 m/s\."),
     (-3.0, [], r"The ego drove backwards at 3\.0 m/s\."),
-    (0.0, [], r"The ego stood still from 3\.0 s\."),
+    (0.0, [], r"The ego stood still from 3\.0 s on\."),
 ])  # fmt: skip
 def test_an_ego_that_drives_backwards_does_not_stand_still(speed, brakes, told):
     trace = crash(driven(0.0, speed=speed, brakes=brakes), driven(-30.0, speed=5.0), side="rear", cell=Cell.REAR)
@@ -114,10 +116,10 @@ def test_an_ego_that_drives_backwards_does_not_stand_still(speed, brakes, told):
 def told_of(trace, sentence, vehicle, since):
     """Check each number of the sentence on what a vehicle did from a tick on against the trace."""
     speeds, deed = np.maximum(trace.states[since:, vehicle, SPEED], 0.0), sentence
-    if sentence.startswith("NPC 0, "):
+    if sentence.startswith("At "):
         place = PLACE.match(sentence)
         assert place
-        lane, gap, where, time = place.groups()
+        time, lane, gap, where = place.groups()
         assert float(time) == pytest.approx(since / HZ, abs=0.051)
         lanes = trace.road.numbers(1)[since], trace.road.numbers(0)[since]
         assert lanes[0] in (-1, lanes[1]) if lane is None else lanes[0] == int(lane) != lanes[1]
@@ -125,29 +127,32 @@ def told_of(trace, sentence, vehicle, since):
             ahead = trace.states[since, 1, X] - trace.states[since, 0, X]
             assert float(gap) == pytest.approx(abs(ahead) - 5.0, abs=0.5)
             assert (ahead > 0) == (where == "ahead of")
-    phases = list(PHASE.finditer(deed))
-    starts = [since if each[5] is None else round(float(each[5]) * HZ) for each in phases]
+    found = [each.groups() for each in PHASE.finditer(deed)]
+    phases = [(*each[2:6], each[0] or each[6], each[1] or each[7]) for each in found]
+    starts = [since if each[4] is None else round(float(each[4]) * HZ) for each in phases]
+    assert len(starts) == len(re.findall("braked|slowed|sped up", deed))
+    assert deed.count(" s on") == sum(each[4] is not None for each in phases) + bool(PAUSE.search(deed))
     assert starts == sorted(starts)
     assert len(phases) <= 3
     for phase, start, end in zip(phases, starts, [*starts[1:], trace.ticks], strict=False):
         part = speeds[max(start - since - 1, 0) : end - since + 1]
         change, hardest = part[-1] - part[0], -np.diff(part).min() * HZ
         near = speeds[max(end - since - 1, 0) : end - since + 2]  # within a tick, since the time is rounded
-        assert near.min() - 0.06 < float(phase[3]) < near.max() + 0.06
-        assert phase[2] is None or float(phase[2]) == pytest.approx(speeds[0], abs=0.06)
-        assert (phase[1] == "sped up") == (change > 0)
-        assert (phase[1] == "braked") == (change < 0 and hardest >= 0.5)
-        assert phase[4] is None or float(phase[4]) == pytest.approx(hardest, abs=0.06)
-        if phase[6] and trace.track is None:
+        assert near.min() - 0.06 < float(phase[2]) < near.max() + 0.06
+        assert phase[1] is None or float(phase[1]) == pytest.approx(speeds[0], abs=0.06)
+        assert (phase[0] == "sped up") == (change > 0)
+        assert (phase[0] == "braked") == (change < 0 and hardest >= 0.5)
+        assert phase[3] is None or float(phase[3]) == pytest.approx(hardest, abs=0.06)
+        if phase[5] and trace.track is None:
             ahead = trace.states[start, 1, X] - trace.states[start, 0, X] - 5.0
-            assert float(phase[6]) == pytest.approx(ahead, abs=1.5)  # within the tick of the rounded time
-    if kept := re.search(rf"kept {NUMBER} m/s", deed):
+            assert float(phase[5]) == pytest.approx(ahead, abs=1.5)  # within the tick of the rounded time
+    if kept := re.search(rf"drove at {NUMBER} m/s", deed):
         assert float(kept[1]) == pytest.approx(speeds[0], abs=0.21)
     if "stood still" in deed:
         assert speeds[0] < 0.05
     if pause := PAUSE.search(deed):
         assert float(pause[1]) == pytest.approx(since / HZ, abs=0.051)
-        assert not any(phase[1] == "braked" for phase in phases)
+        assert not any(phase[0] == "braked" for phase in phases)
 
 
 @table("name", TRACES)
@@ -157,7 +162,7 @@ def test_each_sentence_is_a_fact(name):
     assert f" after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s" in run.impact
     *_, npc, ego = found.sentences
     since = max(min(found.tick, trace.ticks - 2 * HZ), 0)
-    assert npc.startswith("NPC 0")
+    assert npc.startswith(("NPC 0 ", "At "))
     assert ego.startswith("The ego ")
     told_of(trace, npc, 1, since)
     told_of(trace, ego, 0, since)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import attributed, decided
+from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
 from pytest_pafot.attribution.takeovers import drive, latest, sentence
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -121,8 +121,11 @@ def test_drive_goes_on_for_four_seconds():
 
 
 def test_sentences_on_takeovers():
-    assert sentence(1.25) == "A careful driver who took over 1.25 s before the impact would have avoided it."
-    assert sentence(0.0) == "A careful driver who took over in the last 3 s could not reliably have avoided it."
+    assert sentence(1.25) == "A careful driver who took control 1.25 s before the impact would have avoided it."
+    assert (
+        sentence(0.0) == "A careful driver who took control in the last 3 s could not reliably have avoided the "
+        "collision."
+    )
 
 
 def constantly_driven(cell, speed, ego_speed):
@@ -164,7 +167,7 @@ TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in gro
 @pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc"), (None, "npc")])
 def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(seconds, responsible):
     trace = TRACES["leader-stops-dead"]()
-    found = decided(attributed(trace), seconds)
+    found = decide_contested(attribute_collision(trace), seconds)
     assert found.responsibility == responsible
     assert (found.fault, found.mistake) == (("leader-unanswered", "kept-no-distance") if seconds else (None, None))
     assert found.takeover == seconds
@@ -173,14 +176,14 @@ def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(second
 @pytest.mark.parametrize(("seconds", "responsible"), [(0.25, "both"), (0.0, "npc"), (None, "both")])
 def test_an_ego_shares_the_responsibility_with_an_npc_that_moved_in_only_if_there_was_time(seconds, responsible):
     trace = TRACES["cut-in-3-m-and-brakes"]()
-    found = decided(attributed(trace), seconds)
+    found = decide_contested(attribute_collision(trace), seconds)
     assert (found.responsibility, found.fault is None) == (responsible, responsible == "npc")
 
 
 @pytest.mark.parametrize("name", ["slow-leader-ignored", "hit-from-behind"])
 def test_no_careful_driver_is_asked_where_nothing_is_excused(name):
     run = Run(TRACES[name](), take_over=lambda trace, tick: pytest.fail("was asked"))
-    assert run.attribution == attributed(run.trace)
+    assert run.attribution == attribute_collision(run.trace)
 
 
 def test_an_excuse_holds_where_the_driver_cannot_be_simulated():

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import attributed, decided
+from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Trace, X, Y
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.reference_drivers import CarefulHuman
@@ -153,7 +153,7 @@ def collisions(count: int) -> Iterator[tuple[Scene, Trace]]:
 def responsible(scene: Scene, trace: Trace) -> str:
     """Return who is responsible, with the careful driver who takes over when it begins for one that takes over."""
     avoids = not scene.hits(scene.ego(CarefulHuman()))
-    return decided(attributed(trace), float(avoids)).responsibility
+    return decide_contested(attribute_collision(trace), float(avoids)).responsibility
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch):
     unlisted(monkeypatch, folder / "test_it")
     assert main(["corpus", "list", str(folder)]) == 1
     assert capsys.readouterr().err == (
-        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; make it "
+        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied. Make it "
         "readable for this user, restore it, or move it away\n"
     )
 
@@ -58,8 +58,8 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
             patch.setattr(sys, "stdout", full)
             assert main(["corpus", "list", str(folder)]) == 2
         assert capsys.readouterr().err == (
-            "corpus: expected a writable standard output, received No space left on device; "
-            "free some space on the disk, or redirect it\n"
+            "corpus: expected a writable standard output, received No space left on device. "
+            "Free some space on the disk, or redirect it\n"
         )
 
 
@@ -94,8 +94,8 @@ def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
     monkeypatch.setattr(os, "fsync", full)
     assert accept("a-111111") == 1
     assert capsys.readouterr().err == (
-        "corpus: a-111111: expected a writable file, received No space left on device; "
-        "free some space on the disk, then run the command again\n"
+        "corpus: a-111111: expected a writable file, received No space left on device. "
+        "Free some space on the disk, then run the command again\n"
     )
     assert file.read_bytes() == before
     assert list(file.parent.iterdir()) == sorted(file.parent.glob("*.pafot.yaml"))
@@ -141,8 +141,8 @@ def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
 
 
 @pytest.mark.parametrize(("wrong", "fix"), [
-    ("111111", "did you mean a-111111?"),
-    ("b-222", "did you mean b-222222?"),
+    ("111111", "Did you mean a-111111?"),
+    ("b-222", "Did you mean b-222222?"),
     ("other", "`python -m pytest_pafot corpus list` lists the files"),
 ])  # fmt: skip
 def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong, fix):
@@ -150,12 +150,12 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong
     assert accept(wrong) == 1
     assert capsys.readouterr().err == (
         f"corpus: {wrong}: expected the file of a saved scenario, or the id of a saved scenario below the "
-        f"current folder, received no such file or id; {fix}\n"
+        f"current folder, received no such file or id. {fix}\n"
     )
 
 
 def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
-    assert "received an id that occurs in 2 files; give one of the files: test_it/test_x/" in capsys.readouterr().err
+    assert "received an id that occurs in 2 files. Give one of the files: test_it/test_x/" in capsys.readouterr().err
     assert accept("test_it/test_y/a-111111.pafot.yaml") == 0

@@ -67,11 +67,11 @@ def ids(rows):
     (
         {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
         | AHEAD,
-        "gap 0.64 < 10 m at 5.9 s (NPC 0)",
+        "gap = 0.64 < 10 m at 5.9 s (NPC 0)",
     ),
     (
         {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
-        "gap nan is not within 2 at 5.9 s (NPC 0)",
+        "gap = nan is not within 2 at 5.9 s (NPC 0)",
     ),
     ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails"),
     ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError"),
@@ -85,7 +85,7 @@ def test_a_row_says_what_failed(here, capsys, changes, what):
 
 
 def test_nothing_is_listed_where_nothing_is_saved(here, capsys):
-    assert printed(capsys) == "no saved scenarios found\n"
+    assert printed(capsys) == "no saved scenarios were found\n"
 
 
 def git(root, *arguments):

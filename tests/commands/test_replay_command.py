@@ -90,7 +90,7 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     (["own", "--ads", "policies:Idle"], "own.pafot.yaml:14: world: expected a world that a file can describe, rec"),
     (["newer", "--ads", "policies:Idle"], "newer.pafot.yaml:1: pafot: expected format version"),
     (["large", "--ads", "policies:Idle"], "large.pafot.yaml: expected a file of at most 256 KiB, received a larger"),
-    (["a [1].pafot.yaml", "--ads", "policies:Idle"], "received 'a [1].pafot.yaml'; rename the file"),
+    (["a [1].pafot.yaml", "--ads", "policies:Idle"], "received 'a [1].pafot.yaml'. Rename the file"),
     (["folder.pafot.yaml", "--ads", "policies:Idle"], "folder.pafot.yaml: expected the file of a saved scenario, or"),
     (["nobody", "--ads", "policies:Idle"], "nobody: expected the file of a saved scenario, or the id of a saved"),
 ])  # fmt: skip

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from pytest_pafot.commands.tasks import finished
+from pytest_pafot.commands.tasks import run_tasks
 
 pytestmark = pytest.mark.processes
 
@@ -19,11 +19,11 @@ def work(task):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_each_task_comes_with_its_result(workers):
-    assert sorted(finished(work, ["a", "b", "c"], workers)) == [("a", "A"), ("b", "B"), ("c", "C")]
+    assert sorted(run_tasks(work, ["a", "b", "c"], workers)) == [("a", "A"), ("b", "B"), ("c", "C")]
 
 
 def test_error_of_a_task_is_raised_and_lost_process_comes_with_a_way_out():
     with pytest.raises(LookupError, match="no such planner"):
-        list(finished(work, ["a", "raises"], 2))
-    with pytest.raises(ChildProcessError, match=r"finish the task 'ends', but .* exit code 5\. .* fewer --workers"):
-        list(finished(work, ["a", "ends"], 2))
+        list(run_tasks(work, ["a", "raises"], 2))
+    with pytest.raises(ChildProcessError, match=r"finish the task 'ends', but .* exit code 5\. .* fewer processes"):
+        list(run_tasks(work, ["a", "ends"], 2))

@@ -98,7 +98,7 @@ def test_error_gives_place_expected_value_and_remedy(path):
     assert (error.line, error.field) == (6, "scenario.npcs.NPC 0[1].cell")
     assert str(error) == (
         f"{path}:6: scenario.npcs.NPC 0[1].cell: expected cell 1 again, or one of the adjacent "
-        "cells 2 and 8, received cell 5; correct the value, or delete the file"
+        "cells 2 and 8, received cell 5. Correct the value, or delete the file"
     )
 
 
@@ -207,20 +207,20 @@ XFAIL = "# xfail: {reason, until}"
 
 @table(("content", "told"), [
     (swapped(XFAIL, "xfail: {reason: slow, until: 2027-02-30}"),
-     ":16: xfail.until: expected a valid date in the form YYYY-MM-DD, received '2027-02-30'; "
-     "write a date such as 2027-01-31"),
+     ":16: xfail.until: expected a valid date in the form YYYY-MM-DD, received '2027-02-30'. "
+     "Write a date such as 2027-01-31"),
     (swapped(XFAIL, "xfail: {reason: slow, untill: 2027-01-31}"),  # the key is named before its date
-     ":16: xfail.untill: expected the key 'reason' or 'until', received 'untill'; did you mean 'until'?"),
-    (swapped(XFAIL, "zzz: 1"), "'flaky' or 'xfail', received 'zzz'; rename or remove the key"),
+     ":16: xfail.untill: expected the key 'reason' or 'until', received 'untill'. Did you mean 'until'?"),
+    (swapped(XFAIL, "zzz: 1"), "'flaky' or 'xfail', received 'zzz'. Rename or remove the key"),
     (TEXT.replace("found: ", "# ").replace("        versions", "# versions"),
      "expected the key 'found', received only 'pafot', 'scenario', 'expect', 'test' and 'world'"),
-    ("pafot: 4\nnew_things: []\n", "received 4; install the version of pytest-pafot that wrote this file"),  # first
+    ("pafot: 4\nnew_things: []\n", "received 4. Install the version of pytest-pafot that wrote this file"),  # first
     (swapped("seed: 7", "seed: 7\n  traffic: null"),
      "scenario.traffic: expected 'paper', 'hostile', 'assertive' or 'everyday', received null"),
     ("pafot: 1\ntest: *a\n", "'a'"),  # an alias
     (TEXT + "#" * 256 * 1024, "at most 256 KiB"),
     (f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7\n",
-     "received a Git LFS pointer; fetch the file with `git lfs pull`"),
+     "received a Git LFS pointer. Fetch the file with `git lfs pull`"),
 ])  # fmt: skip
 def test_error_says_what_is_wrong_and_what_to_write(path, content, told):
     assert told in str(fault(path, content))
@@ -362,7 +362,7 @@ def refused(place):
     with pytest.raises(CorpusError) as caught:
         load(place)
     assert str(caught.value) == (
-        f"{place}: expected a file inside the corpus, received a link to a file outside it; replace the link with the "
+        f"{place}: expected a file inside the corpus, received a link to a file outside it. Replace the link with the "
         "file itself, or delete the link"
     )
 
@@ -510,10 +510,10 @@ def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field)
 
 @table(("part", "error", "line", "field", "told"), [
     ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 4, "scenario.ego.speed",
-     "expected less, received 22; correct the value, or delete the file"),
+     "expected less, received 22. Correct the value, or delete the file"),
     ("scenario", ScenarioError(field="npcs[0][1].speed", expected="less", received="8", fix="write 7.9"), 6,
-     "scenario.npcs.NPC 0[1].speed", "expected less, received 8; write 7.9"),
-    ("world", WorldError(field="lanes", expected="more", received="4"), 12, "world.lanes", "received 4; correct the v"),
+     "scenario.npcs.NPC 0[1].speed", "expected less, received 8. Write 7.9"),
+    ("world", WorldError(field="lanes", expected="more", received="4"), 12, "world.lanes", "received 4. Correct the v"),
     ("world", WorldError(field="limits.jerk", expected="more", received="1"), 14, "world.limits.jerk", "more"),
     ("world", WorldError(field="merge-v0", expected="a road", received="none"), 12, "world", "expected a road"),
     ("world", TypeError("no road, received none"), 12, "world", "expected a world that can run, received no road"),

@@ -145,6 +145,6 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
 def test_file_of_another_tool_is_not_said_to_be_broken(content):
     with pytest.raises(
         CorpusError,
-        match=r"received a different kind of file, .* wrote; give a file whose name ends with \.pafot\.yaml",
+        match=r"received a different kind of file, .* wrote. Give a file whose name ends with \.pafot\.yaml",
     ):
         parse(Path("run.xosc"), content)

@@ -164,9 +164,9 @@ def test_folder_that_others_could_have_planted_is_refused(tmp_path, is_link, lev
         place.chmod(0o777)
     with CrashRecord(folder, OWNER) as record:
         record.write(SCENARIO)
-    assert "If this process crashes, no record will name" in str(record.error)
+    assert "the scenario is not recorded if this process crashes" in str(record.error)
     assert f"other users can write to {place}" in str(record.error)
-    assert "(delete that folder, or set TMPDIR to a folder that belongs to you). If" in str(record.error)
+    assert "Delete that folder, or set TMPDIR to a folder that belongs to you. " in str(record.error)
     with pytest.raises(CrashRecordError, match=f"other users can write to {place}"):
         leftovers(folder)
 
@@ -203,7 +203,7 @@ def test_only_records_are_looked_at(tmp_path):
 
 def test_unreadable_folder_of_records_is_a_typed_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(CrashRecordError, match="expected a folder"):
+    with pytest.raises(CrashRecordError, match="expected a writable folder"):
         leftovers(tmp_path / "file")
 
 
@@ -216,7 +216,7 @@ def test_unwritable_folder_never_stops_the_search(tmp_path):
         record.clear()
     assert isinstance(error, CrashRecordError)
     assert record.error is error
-    assert "If this process crashes, no record will name the scenario" in str(error)
+    assert "the scenario is not recorded if this process crashes" in str(error)
 
 
 def test_full_disk_never_stops_the_search(tmp_path, monkeypatch):

@@ -91,7 +91,7 @@ class TestProcesses:
             asked(runner)
         assert world.ran == list(range(8))
         assert runner.notes == [
-            "--pafot-workers=2 was not used, because a run took 5.0 ms. Workers pay off from 10 ms per run"
+            "--pafot-workers=2 was not used, because runs took only 5.0 ms. Workers help from 10 ms per run"
         ]
 
     def test_processes_end_if_only_first_run_was_expensive(self, runner_of):
@@ -104,7 +104,7 @@ class TestProcesses:
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == [
-            "--pafot-workers=2 was not used, because a run took 5.0 ms. Workers pay off from 10 ms per run"
+            "--pafot-workers=2 was not used, because runs took only 5.0 ms. Workers help from 10 ms per run"
         ]
 
     def test_processes_start_later_if_runs_become_expensive(self, runner_of):

@@ -118,10 +118,10 @@ CAR = (0.0, 5.0, 2.0)
 
 
 @pytest.mark.parametrize(("offset", "heading", "place"), [
-    ((5.2, 0.0), 0.0, "0.2 m ahead, as fast"),
-    ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, as fast"),
-    ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, as fast"),
-    ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, as fast"),
+    ((5.2, 0.0), 0.0, "0.2 m ahead, equally fast"),
+    ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, equally fast"),
+    ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, equally fast"),
+    ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, equally fast"),
 ])  # fmt: skip
 def test_a_place_is_told_with_the_gap_between_the_boxes_along_the_road(offset, heading, place):
     assert placed(*offset, 0.0, CAR, (heading, 5.0, 2.0)) == place
@@ -145,10 +145,10 @@ def test_a_moment_is_told_in_one_line():
     hidden = "with NPC 0 hidden, it chose the same"
     assert sorted(str(probed).removesuffix(".").split("; ")) == sorted([start, hidden, other])
     none = replace(moment, otherwise="")
-    assert (str(none), none.brief) == (f"{start}; no change of NPC 0 that was tried had an effect.", f"{start}.")
+    assert (str(none), none.brief) == (f"{start}; none of the changes tried for NPC 0 had an effect.", f"{start}.")
     other = Moment(time=3.0, npc=None, action="1", reference="0")
     assert str(other) == other.brief
-    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, and the reference 0\.", other.brief)
+    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, and the reference chose 0\.", other.brief)
 
 
 def test_conditions_are_listed_below_whom_they_are_about():
@@ -382,7 +382,7 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz
     assert deciding(run, expecting(run)) == int(run.attribution.time * hz + 1e-6)  # by the rules, when danger began
-    assert told_of(run) == f"The ego kept 22.0 m/s and did not brake after {run.attribution.time:.1f} s."
+    assert told_of(run) == f"The ego drove at 22.0 m/s and did not brake from {run.attribution.time:.1f} s on."
     assert deciding(run, expecting(run, takeover=1.25)) == int((run.collision.time - 1.25) * hz + 1e-6)
     assert deciding(run, expecting(run, takeover=0.0)) == deciding(run, expecting(run))  # none avoids it
     assert vehicle_of(run, expecting(run)) == 0

@@ -12,9 +12,9 @@ from pytest_pafot.findings.finding import (
     Finding,
     Found,
     ads_failure,
-    of_failure,
     portable,
     raised_failure,
+    signature_of_failure,
     with_other_seed,
 )
 from pytest_pafot.findings.situation import Situation
@@ -43,16 +43,16 @@ def broken_ads(traceback="Traceback ...\n"):
 
 def test_new_finding_is_named_by_signature_and_scenario():
     run = run_of(outcome=Outcome.COLLISION)
-    finding = Finding.of(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
+    finding = Finding.from_run(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
     assert finding.id == f"leader-unanswered-{run.scenario.id}"
     assert finding.scenario == run.scenario
-    assert finding.signature == of_failure(run, COLLIDES)
+    assert finding.signature == signature_of_failure(run, COLLIDES)
     assert finding.xfail is None
 
 
 def test_it_expects_what_the_run_showed():
     run = run_of(outcome=Outcome.COLLISION)
-    expect = Expect.of(run, COLLIDES, takeover=0.75)
+    expect = Expect.from_run(run, COLLIDES, takeover=0.75)
     assert expect == Expect(
         failure="AssertionError",
         assertion="not run.collision",
@@ -70,14 +70,14 @@ def test_it_expects_what_the_run_showed():
         takeover=0.75,
     )
     *told, responsible = run.sentences
-    careful = "A careful driver who took over 0.75 s before the impact would have avoided it."
+    careful = "A careful driver who took control 0.75 s before the impact would have avoided it."
     assert expect.sentences_on(run) == (*told, f"{responsible} {careful}")
     for changed in ({"time": 1.9}, {"takeover": None}):  # of another collision, or unknown
         assert replace(expect, **changed).sentences_on(run) == run.sentences
 
 
 def test_message_is_saved_if_no_assertion_says_it():
-    expect = Expect.of(run_of(), Failure(kind="Failed", message="\n  too close: 0.3 m\nmore"))
+    expect = Expect.from_run(run_of(), Failure(kind="Failed", message="\n  too close: 0.3 m\nmore"))
     assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
 
 
@@ -100,18 +100,18 @@ def test_texts_contain_nothing_that_changes_between_runs(text, kept):
     assert portable(text, "/home/me/planner") == kept
     run = broken_ads(f"Traceback\n  {text}\n")
     failure = replace(ads_failure(run), message=text)
-    expect = Expect.of(run, failure, root="/home/me/planner")
+    expect = Expect.from_run(run, failure, root="/home/me/planner")
     assert (expect.message, expect.traceback) == (kept, f"Traceback\n  {kept}\n")
 
 
 def test_a_huge_text_takes_no_time():
     failure = Failure(kind="ValueError", message="/a" * 500_000, traceback="/a" * 500_000)
-    assert len(Expect.of(broken_ads(), failure).message) == 300
+    assert len(Expect.from_run(broken_ads(), failure).message) == 300
 
 
 def test_ads_traceback_is_saved_without_a_long_beginning():
     run = broken_ads("".join(f"line {number}\n" for number in range(5000)))
-    expect = Expect.of(run, ads_failure(run))
+    expect = Expect.from_run(run, ads_failure(run))
     assert (expect.failure, expect.message, expect.time) == ("ValueError", "no path", 0.4)
     assert expect.traceback.startswith("...\nline ")
     assert expect.traceback.endswith("line 4999\n")

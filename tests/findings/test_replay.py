@@ -2,7 +2,15 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.findings.finding import Finding, Found, handles, has_time, is_same_event, is_same_failure, of_failure
+from pytest_pafot.findings.finding import (
+    Finding,
+    Found,
+    handles,
+    has_time,
+    is_same_event,
+    is_same_failure,
+    signature_of_failure,
+)
 from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
@@ -22,10 +30,10 @@ def crash(tick=30, **where):
 
 def saved(run=None, failure=FAILS):
     found = Found(seed=1, generation=0, algorithm="pafot", versions=VERSIONS)
-    return Finding.of(run or crash(), failure, test="t.py::test_it", world={}, found=found)
+    return Finding.from_run(run or crash(), failure, test="t.py::test_it", world={}, found=found)
 
 
-FRONT = of_failure(crash(), FAILS)
+FRONT = signature_of_failure(crash(), FAILS)
 HIT_STANDING = trace_of(
     vehicle(0.0, 4.0, ticks=30),
     vehicle(-26.0, 4.0, speed=10.0, ticks=30),
@@ -34,7 +42,7 @@ HIT_STANDING = trace_of(
 )
 BESIDE = (situations.driven(0.0, shifts=[(2.0, situations.LEFT, 3.0)]), situations.driven(1.0, situations.LEFT))
 """An ego that moves into the vehicle alongside."""
-REAR = of_failure(Run(HIT_STANDING), FAILS)
+REAR = signature_of_failure(Run(HIT_STANDING), FAILS)
 """The ego stands, so the NPC is responsible."""
 
 

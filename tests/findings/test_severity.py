@@ -70,7 +70,7 @@ def test_failed_check_is_measured_by_its_broken_bound(value, bounds, by, margin)
 def test_check_without_finite_value_ranks_just_below_collision(value):
     worst = severity_of(crash(), failed(value, at_most=1.0))
     assert worst.value is worst.margin is None
-    assert str(worst) == "breaks jerk by no finite number m/s^3"
+    assert str(worst) == "violates the bound of jerk by no finite number m/s^3"
     assert replace(JERK, margin=-1e9, value=1e9) < worst < replace(HIT, value=0.0)
 
 
@@ -111,10 +111,10 @@ def test_findings_are_ranked_by_responsibility_then_severity(order):
 
 
 @table(("now", "before", "told"), [
-    (replace(HIT, value=12.1), replace(HIT, value=8.0), "hits at 12.1 m/s, 8.0 before"),
-    (HIT, None, "hits at 9.8 m/s, no collision before"),
-    (HIT, JERK, "hits at 9.8 m/s, no collision before"),
-    (JERK, replace(JERK, value=3.2, margin=-0.16), "breaks jerk by 15.1 m/s^3, 3.2 before"),
+    (replace(HIT, value=12.1), replace(HIT, value=8.0), "hits at 12.1 m/s instead of 8.0"),
+    (HIT, None, "hits at 9.8 m/s, with no collision before"),
+    (HIT, JERK, "hits at 9.8 m/s, with no collision before"),
+    (JERK, replace(JERK, value=3.2, margin=-0.16), "violates the bound of jerk by 15.1 m/s^3 instead of 3.2"),
     (HIT, HIT, ""),
     (replace(HIT, value=8.0), HIT, ""),
     (JERK, HIT, ""),
@@ -128,7 +128,7 @@ def test_worsening_needs_comparable_and_visibly_different_severities(now, before
 def test_check_of_many_values_uses_its_named_value():
     made = Check(name="gap", value=0.4, margin=-0.2, at_least=0.5, unit="m", time=3.0)
     severity = severity_of(crash(), Failure(kind=CHECK_FAILED, assertion="gap", check=made))
-    assert str(severity) == "breaks gap by 0.1 m"
+    assert str(severity) == "violates the bound of gap by 0.1 m"
 
 
 def alike(*runs):
@@ -160,8 +160,8 @@ def test_runs_without_a_measure_are_only_counted():
     (alike((3, 9.81), (4, 9.79)), HIT, ", closing at 9.8 m/s"),
     (Alike(), HIT, ", closing at 9.8 m/s"),
     (Alike(), None, ""),
-    (Alike(runs=2, severity=JERK, least=replace(JERK, value=3.0)), JERK, ", broken by 3 to 15.1 m/s^3"),
-    (Alike(), replace(JERK, unit=""), ", broken by 15.1"),
+    (Alike(runs=2, severity=JERK, least=replace(JERK, value=3.0)), JERK, ", violating the bound by 3 to 15.1 m/s^3"),
+    (Alike(), replace(JERK, unit=""), ", violating the bound by 15.1"),
 ])  # fmt: skip
 def test_the_impacts_of_runs_that_fail_alike_are_a_range(of, own, told):
     assert sighting(severity=own, alike=of).impacts == told

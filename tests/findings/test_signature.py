@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import signature_of_failure
 from pytest_pafot.findings.verdict import Failure, Signature, normalised
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
@@ -37,7 +37,7 @@ SITUATIONS_BY_SLUG = {
 
 
 def test_collision_caused_by_ego_is_identified_by_mistake():
-    assert of_failure(crash(), COLLIDES) == Signature(
+    assert signature_of_failure(crash(), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
         outcome=Outcome.COLLISION,
@@ -47,14 +47,16 @@ def test_collision_caused_by_ego_is_identified_by_mistake():
 
 
 def test_side_hit_does_not_matter_for_ego_fault():
-    assert of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == of_failure(crash(), COLLIDES)
+    assert signature_of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == signature_of_failure(
+        crash(), COLLIDES
+    )
     fields = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "fault": "entered-lane"}
-    alone = Signature.of(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
-    assert alone == Signature.of(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
+    alone = Signature.from_facts(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
+    assert alone == Signature.from_facts(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
 
 
 def test_other_collisions_are_identified_by_side_and_cell():
-    assert of_failure(crash(**STANDING), COLLIDES) == Signature(
+    assert signature_of_failure(crash(**STANDING), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
         outcome=Outcome.COLLISION,
@@ -71,7 +73,7 @@ def test_assertion_without_collision_is_identified_by_its_text():
     expected = Signature(
         failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.COMPLETED, responsibility="none"
     )
-    assert of_failure(Run(approaching()), failure) == of_failure(crash(), failure) == expected
+    assert signature_of_failure(Run(approaching()), failure) == signature_of_failure(crash(), failure) == expected
 
 
 def test_failed_check_is_identified_by_its_name():
@@ -79,8 +81,8 @@ def test_failed_check_is_identified_by_its_name():
         check = Check(name="jerk", value=value, margin=20.0 - value, at_most=20.0)
         return Failure(kind="CheckFailed", message=str(check), assertion="jerk", check=check)
 
-    signature = of_failure(Run(approaching()), jerk(35.1))
-    assert signature == of_failure(crash(), jerk(21.0)) == of_failure(crash(**STANDING), jerk(99.0))
+    signature = signature_of_failure(Run(approaching()), jerk(35.1))
+    assert signature == signature_of_failure(crash(), jerk(21.0)) == signature_of_failure(crash(**STANDING), jerk(99.0))
     assert (signature.assertion, signature.slug) == ("jerk", "jerk")
 
 
@@ -94,20 +96,20 @@ def test_failed_check_is_identified_by_its_name():
 ])  # fmt: skip
 def test_assertion_about_the_collision_is_identified_by_outcome(source):
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
-    assert of_failure(crash(), failure).fault == "leader-unanswered"
-    assert of_failure(Run(approaching()), failure).cell is None
+    assert signature_of_failure(crash(), failure).fault == "leader-unanswered"
+    assert signature_of_failure(Run(approaching()), failure).cell is None
 
 
 def test_the_time_and_the_speeds_do_not_matter():
-    assert of_failure(crash(ego_speed=18.0), COLLIDES) == of_failure(crash(npc_speed=3.0), COLLIDES)
+    assert signature_of_failure(crash(ego_speed=18.0), COLLIDES) == signature_of_failure(crash(npc_speed=3.0), COLLIDES)
 
 
 def test_fault_names_a_failure_without_distinguishing_it():
     told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
-    followed = Signature.of(**told, fault="leader-unanswered")
-    entered = Signature.of(**told, fault="entered-lane", mistake="kept-no-distance")
-    cut_in = Signature.of(**told, fault="cut-in-unanswered")
-    assert followed == entered == cut_in != Signature.of(**told, fault="braked-for-nothing")
+    followed = Signature.from_facts(**told, fault="leader-unanswered")
+    entered = Signature.from_facts(**told, fault="entered-lane", mistake="kept-no-distance")
+    cut_in = Signature.from_facts(**told, fault="cut-in-unanswered")
+    assert followed == entered == cut_in != Signature.from_facts(**told, fault="braked-for-nothing")
     assert [each.slug for each in (followed, entered, cut_in)] == [
         "leader-unanswered", "entered-behind", "cut-in-unanswered"
     ]  # fmt: skip
@@ -117,7 +119,7 @@ def test_fault_names_a_failure_without_distinguishing_it():
 def test_lane_change_slug_names_place_of_other_vehicle(name):
     trace = next(each for each in chain(*SITUATIONS.values()) if each.name == name).trace()
     assert Run(trace).attribution.fault == "entered-lane"
-    assert of_failure(Run(trace), COLLIDES).slug == SITUATIONS_BY_SLUG[name]
+    assert signature_of_failure(Run(trace), COLLIDES).slug == SITUATIONS_BY_SLUG[name]
 
 
 @table("source", [
@@ -175,7 +177,7 @@ def test_numbers_never_make_a_difference(a, b):
 
 
 def slug(assertion="", kind="AssertionError", run=None):
-    return of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
+    return signature_of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
 
 
 def test_a_slug_names_the_subject_of_another_assertion():
@@ -191,8 +193,8 @@ def test_ads_fault_is_named_and_the_same_for_any_traffic(outcome):
     near, alone = Run(approaching(**more)), Run(trace_of(ego, other, **more))
     failure = Failure(kind="ValueError", message="no path")
     assert near.event_cell is Cell.FRONT
-    assert of_failure(near, failure) == of_failure(alone, failure)
-    assert of_failure(near, failure).slug == outcome.replace("_", "-")
+    assert signature_of_failure(near, failure) == signature_of_failure(alone, failure)
+    assert signature_of_failure(near, failure).slug == outcome.replace("_", "-")
 
 
 def test_a_slug_has_no_cell_where_nothing_approached():
@@ -211,4 +213,4 @@ def test_slug_is_short_and_safe_in_file_names(assertion, kind):
 def test_long_assertion_on_measures_is_identified_by_text():
     source = " and ".join(f"run.npcs[{npc}].gap.min() > 1.5" for npc in range(9))
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
-    assert of_failure(crash(), failure) == of_failure(Run(approaching()), failure)
+    assert signature_of_failure(crash(), failure) == signature_of_failure(Run(approaching()), failure)

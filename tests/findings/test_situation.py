@@ -24,11 +24,11 @@ MOVES = {"shifts": [(4.0, RIGHT, 3.0)]}
 
 def finding_of(run):
     found = Found(seed=1, generation=0, algorithm="distinct")
-    return Finding.of(run, FAILS, test="t.py::t", world={}, found=found)
+    return Finding.from_run(run, FAILS, test="t.py::t", world={}, found=found)
 
 
 def situation(run, failure=FAILS):
-    return Expect.of(run, failure).situation
+    return Expect.from_run(run, failure).situation
 
 
 def rear_end():
@@ -162,7 +162,7 @@ def test_collision_with_the_same_npc_is_no_fix():
     later = Run(crash(driven(0.0), driven(35.0, brakes=[(6.0, 6.0, 8.0)])))
     assert not handles(saved, later)
     assert unhandled(saved, later) == (
-        f"the ego and NPC 0 still collide, after {later.collision.time:.1f} s, but the test accepts that"
+        f"the ego and NPC 0 still collide at {later.collision.time:.1f} s, but the test accepts this"
     )
 
 

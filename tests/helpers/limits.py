@@ -22,7 +22,7 @@ def limits(world, trace):
     angle = np.where([zone is None for zone in trace.zones or [None] * npcs.shape[1]], angle, 0.0)
     aside = speed[:-1] * turns / dt
     for npc, vehicle in enumerate(trace.scenario.all_vehicles):
-        own = stated.of(vehicle)
+        own = stated.for_vehicle(vehicle)
         who = "NPCs" if vehicle == CAR else f"a {vehicle.name}"
         for name, values, low, high in (
             ("speed", speed, 0.0, min(own.overspeed * world.speed_limit, vehicle.top_speed)),

@@ -74,12 +74,12 @@ class TestInstructions:
         ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
         ({"zone": "o1>o3\n"}, "zone: expected the entry"),
         ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
-        ({"slot": 0.55}, "slot: expected a multiple of 0.1 s, received 0.55; the nearest valid slot"),
+        ({"slot": 0.55}, "slot: expected a multiple of 0.1 s, received 0.55. The nearest valid slot"),
         ({"slot": 5.1}, "slot: expected a time from -5 to 5 s relative to the ego, received 5.1"),
         ({"slot": math.nan}, "slot: expected a finite number"),
         ({"slot": "1"}, "slot: expected a finite number"),
         ({"speed": 0},
-         "speed: expected a speed above 0 m/s, so that the NPC reaches the zone, received 0.0; use act"),
+         "speed: expected a speed above 0 m/s, so that the NPC reaches the zone, received 0.0. Use act"),
         ({"speed": 8.65}, "speed: expected a non-negative multiple of 0.1 m/s"),
     ])  # fmt: skip
     def test_what_is_wrong_is_refused_by_name(self, changes, message):

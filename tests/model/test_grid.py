@@ -153,7 +153,7 @@ def test_executed_cells_are_executed_again_for_any_coins(case, others):
 def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed):
     coins = [toss(seed, npc, 0) for npc in range(len(requested))]
     if len(requested) > len(existing):
-        with pytest.raises(ValueError, match=f"received {len(requested)} NPCs for {len(existing)} existing cells; use"):
+        with pytest.raises(ValueError, match=f"received {len(requested)} NPCs for {len(existing)} existing cells. Use"):
             repair_gene(None, requested, existing, coins)
         return
     executed = repair_gene(None, requested, existing, coins)

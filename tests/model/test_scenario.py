@@ -23,6 +23,7 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import MAX_SEED, Scenario, retimed
 from pytest_pafot.model.vehicle_type import STYLES
+from pytest_pafot.support.text import capitalised
 from tests.helpers.tables import table
 
 instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
@@ -72,7 +73,7 @@ def test_a_speed_that_is_no_number_is_refused(speed):
 
 @table(("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")])
 def test_invalid_speed_is_refused_with_nearest_valid_one(speed, nearest):
-    with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}; the nearest valid speed is {nearest}")):
+    with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}. The nearest valid speed is {nearest}")):
         PositionInstruction(2, speed)
 
 
@@ -166,8 +167,8 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
 @table(("fields", "message"), [
     ({"npcs": []}, "npcs: expected 1 to 8 NPCs, at most one per cell, received 0"),
     ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
-    ({"npcs": [[(2, 20.0)]]}, "LaneInstruction or a CrossingInstruction, received (2, 20.0); write, for example, Posi"),
-    ({"npcs": None}, "npcs: expected a list with one chain of instructions per NPC, received None; write npcs=[["),
+    ({"npcs": [[(2, 20.0)]]}, "LaneInstruction or a CrossingInstruction, received (2, 20.0). Write, for example, Posi"),
+    ({"npcs": None}, "npcs: expected a list with one chain of instructions per NPC, received None. Write npcs=[["),
     ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
     ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
     ({"seed": 1.5}, "seed: expected a whole number"),
@@ -186,7 +187,7 @@ def test_broken_field_is_refused_by_name(make, fields, message):
 
 def test_leap_across_the_ring_is_refused_with_alternatives():
     expected = (
-        "npcs[0][1]: expected cell 1 again, or one of the adjacent cells 2 and 8, received cell 5; use "
+        "npcs[0][1]: expected cell 1 again, or one of the adjacent cells 2 and 8, received cell 5. Use "
         "Scenario.repaired(...)"
     )
     with pytest.raises(ScenarioError, match=re.escape(expected)):
@@ -199,7 +200,10 @@ def test_error_fields_are_readable_also_after_pickling():
     for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
         assert (error.field, error.received) == ("npcs[0][1]", "cell 5")
         assert error.expected == "cell 1 again, or one of the adjacent cells 2 and 8"
-        assert str(error) == f"{error.field}: expected {error.expected}, received {error.received}; {error.fix}"
+        assert (
+            str(error)
+            == f"{error.field}: expected {error.expected}, received {error.received}. {capitalised(error.fix)}"
+        )
 
 
 def test_two_npcs_in_one_cell_are_refused():
@@ -240,12 +244,12 @@ class TestLaneInstructions:
     def test_lane_speed_between_tenths_is_refused(self):
         with pytest.raises(
             ScenarioError,
-            match=r"speed: expected a non-negative multiple of 0.1 m/s, .* the nearest valid speed is 12\.3",
+            match=r"speed: expected a non-negative multiple of 0.1 m/s, .* The nearest valid speed is 12\.3",
         ):
             LaneInstruction("keep", 12.34)
 
     def test_valid_speed_of_an_npc_that_crosses_is_above_0(self):
-        with pytest.raises(ScenarioError, match=r"the nearest valid speed is 0\.1"):
+        with pytest.raises(ScenarioError, match=r"The nearest valid speed is 0\.1"):
             CrossingInstruction("a>b", 0, 0.04)
 
     def test_lane_scenario_needs_no_repair_and_may_repeat(self):

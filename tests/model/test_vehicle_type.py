@@ -57,10 +57,10 @@ def test_own_vehicle_out_of_bounds_is_refused(fields, place):
 
 def test_limits_are_the_lower_ones_of_world_and_vehicle():
     world = NpcLimits()
-    assert world.of(CAR) is world.of(VAN) is world
-    assert world.of(TRUCK) == replace(world, acceleration=1.3, braking=7.0, lateral_acceleration=3.4)
-    assert world.of(MOTORCYCLE) == world
-    assert NpcLimits(braking=12.0).of(MOTORCYCLE).braking == 10.0
+    assert world.for_vehicle(CAR) is world.for_vehicle(VAN) is world
+    assert world.for_vehicle(TRUCK) == replace(world, acceleration=1.3, braking=7.0, lateral_acceleration=3.4)
+    assert world.for_vehicle(MOTORCYCLE) == world
+    assert NpcLimits(braking=12.0).for_vehicle(MOTORCYCLE).braking == 10.0
 
 
 def test_texts_without_other_vehicles_are_those_of_before():

@@ -162,7 +162,7 @@ def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch)
 
 def test_what_a_worker_lacks_is_told(pool_of):
     executor = Inline(lost=range(9), error=ModuleNotFoundError)
-    with pytest.raises(ExecutionError, match=r"expected workers .* received ModuleNotFoundError: pafot-1"):
+    with pytest.raises(ExecutionError, match=r"expected workers .* received the error ModuleNotFoundError: pafot-1"):
         fetched(pool_of(executor), SCENARIOS[:1])
 
 
@@ -197,7 +197,8 @@ def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     isolated = runner_for(job, job.crash_record(), isolate=True, cluster=partial(DaskPool, Inline()))
     assert isolated.once(SCENARIOS[0]) is not None
     with pytest.raises(
-        ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered from one of them\. Install"
+        ExecutionError,
+        match=r"--pafot-isolate: .*one of them raised LookupError: my-env-v0 is not registered\. Install",
     ):
         isolated.once(SCENARIOS[1])
 

@@ -195,7 +195,7 @@ def test_environment_of_the_users_own_is_not_closed():
         own.reset()
     try:
         with pytest.raises(
-            WorldError, match=r"no other environment in this process, received one that is still open; call"
+            WorldError, match=r"no other environment in this process, received one that is still open\. Call"
         ):
             _ = pafot.metadrive("SSS").road
         assert get_engine() is not None
@@ -205,7 +205,7 @@ def test_environment_of_the_users_own_is_not_closed():
 
 @table(("world", "ads", "message"), [
     (PLANNER, expert, r"observation='lidar'\) for this policy of MetaDrive"),
-    (LIDAR, idm, r"write `world=pafot.metadrive\(observation='vehicle'\)`"),
+    (LIDAR, idm, r"Write `world=pafot.metadrive\(observation='vehicle'\)`"),
     (pafot.Highway(), expert, "received Highway"),
 ])  # fmt: skip
 def test_own_policy_refuses_a_world_without_its_observation(world, ads, message):

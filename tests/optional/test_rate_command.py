@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.commands import rate_command
-from pytest_pafot.commands.rate_command import Rate, compared
+from pytest_pafot.commands.rate_command import Rate, compare_rates
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.world.engines.episode import Episode
 from tests.helpers.sessions import command_in_a_copy
@@ -57,7 +57,7 @@ def test_rate_prints_share_interval_crashes_and_seeds(capsys):
     out, told = capsys.readouterr()
     found = re.search(r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %", out)
     assert int(found[1]) > 1
-    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %)\n" in out
+    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 31 %)\n" in out
     assert "0 only with idm_mobil, 0 with both" in out
     assert "rate: 20 of 20 episodes\n" in told
 
@@ -97,10 +97,10 @@ def fails():
     return decide
 
 
-def test_policy_that_raises_in_the_first_ten_episodes_ends_the_command(capsys):
+def test_policy_that_raises_in_the_first_five_episodes_ends_the_command(capsys):
     assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
     told = capsys.readouterr().err
-    assert "in each of the first 10 episodes, starting with seed 0: RuntimeError: no weights\n  File " in told
+    assert "in each of the first 5 episodes, starting with seed 0: RuntimeError: no weights\n  File " in told
     assert ("test_rate_command.py" in told, " of 200 episodes\n" in told) == (True, False)
 
 
@@ -135,9 +135,9 @@ def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
     ([f"{__name__}:fails"], "fails' to return pafot.Highway(...), pafot.World(...) or "),
     ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
     ([f"{__name__}:wraped"], ". Did you mean 'tests.optional.test_rate_command:wrapped'?"),
-    ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
-    ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
-    (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'). Run in the"),
+    ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment for --config, rec"),
+    ([f"{__name__}:wrapped:3", "--seed", "3"], "to reset with the seed 3, received AssertionError: no reset"),
+    (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'). Change to the"),
 ])  # fmt: skip
 def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
     assert rated_in(*arguments) == 2
@@ -158,6 +158,25 @@ def test_several_policies_are_compared_with_the_first(capsys, monkeypatch, crash
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 60
     assert rate(*names, "--against", "constant_speed") == 2
     assert "expected each policy only once, received 'constant_speed' again" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("at", [3, 7, 12])
+def test_ctrl_c_reports_the_completed_episodes(capsys, monkeypatch, at):
+    def driven(world, factory, seed, *, is_planner):
+        started.append(seed)
+        if len(started) == at:
+            raise KeyboardInterrupt
+        return episode(seed, "collision" if seed == 1 else "safe")
+
+    started = []
+    monkeypatch.setattr(rate_command, "drive_episode", driven)
+    assert rate("--ads", "idm_mobil", "--against", "constant_speed", "--episodes", "10") == 130
+    out, told = capsys.readouterr()
+    assert told.endswith("rate: interrupted\n")
+    # The two policies take turns, with five episodes each.
+    first, both = "idm_mobil in highway-fast-v0: 1 of 5 episodes crashed", "0 only with constant_speed, 1 with both"
+    assert (first in out, f"{both} and 4 with neither" in out) == (at > 5, at > 10)
+    assert ("constant_speed in highway-fast-v0: none of 0 episodes" in out) == (at == 7)
 
 
 @pytest.mark.parametrize(
@@ -190,9 +209,9 @@ def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
     (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
     (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
     (["--against", "idm_mobil"], "--against: expected each policy only once"),
-    (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
+    (["--ads", "idm_mobile"], "Did you mean 'idm_mobil'?"),
     (["--config", "{count: 3}"], "--config: expected JSON such as"),
-    (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
+    (["--config", '{"vehicle_count": 3}'], "Did you mean 'vehicles_count'?"),
     (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
     (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
     (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
@@ -219,7 +238,7 @@ def test_of_many_seeds_the_first_ten_are_told():
 
 def test_comparison_uses_seeds_that_crash_only_one_policy():
     first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
-    (told,) = compared(first, [rated("b", s2="collision", s9="collision")])
+    (told,) = compare_rates(first, [rated("b", s2="collision", s9="collision")])
     assert "2 episodes crashed only with a, 0 only with b, 1 with both and 6 with neither: p = 0.5 (McN" in told
 
 

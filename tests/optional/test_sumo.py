@@ -116,8 +116,8 @@ def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
 
 
 @table(("route", "message"), [
-    (["two", "none"], "edges for passenger cars, received 'none'; use edges such as"),
-    (None, "this network has more than one route, received None; write route="),
+    (["two", "none"], "edges for passenger cars, received 'none'. Use edges such as"),
+    (None, "this network has more than one route, received None. Write route="),
 ])  # fmt: skip
 def test_a_route_that_a_net_does_not_have_is_refused_by_its_edge(net, route, message):
     path = net(JOINED)
@@ -126,24 +126,24 @@ def test_a_route_that_a_net_does_not_have_is_refused_by_its_edge(net, route, mes
 
 
 def test_a_first_lane_that_the_route_does_not_have_is_refused(net):
-    with pytest.raises(WorldError, match=re.escape("start_lane: expected one of 0, 1, the lanes of 'two'")):
+    with pytest.raises(WorldError, match=re.escape("start_lane: expected lane 0 or 1 of the edge 'two'")):
         _ = pafot.sumo(net(JOINED), route=["two", "three"], start_lane=2).road
 
 
 def test_what_is_no_net_is_refused(tmp_path):
     (tmp_path / "text.net.xml").write_text("<net", encoding="utf-8")
     for name in ("missing.net.xml", "text.net.xml"):
-        with pytest.raises(WorldError, match="a SUMO network, as netconvert writes it, received"):
+        with pytest.raises(WorldError, match="a SUMO network, as written by netconvert, received"):
             _ = pafot.sumo(tmp_path / name).road
 
 
 def test_a_file_names_the_net_by_its_content(net):
     path = net(BENT)
     data = pafot.sumo(path, duration=30.0).to_dict()
-    assert SimulatorWorld.of(Sumo, data).to_dict() == data
+    assert SimulatorWorld.from_dict(Sumo, data).to_dict() == data
     path.write_text(BENT.replace('speed="20.0"', 'speed="19.0"'), encoding="utf-8")
     with pytest.raises(WorldError, match=r"user.net.xml as it was saved, received a changed file"):
-        SimulatorWorld.of(Sumo, data)
+        SimulatorWorld.from_dict(Sumo, data)
 
 
 # Arguments and files.

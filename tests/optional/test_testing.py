@@ -222,26 +222,26 @@ KEEPS, SAME = "keeps its speed and heading", "the same start with the same seed 
 
 
 @table(("base", "members", "expected", "cause"), [
-    (Toy, {"inside": {"degrees": True}}, MOVES, "; use degrees = True"),
-    (Toy, {"degrees": True, "inside": {"degrees": False}}, MOVES, "; use degrees = False"),
-    (Toy, {"inside": {"headings": "y to x"}}, MOVES, "; use headings = 'y to x'"),
-    (Toy, {**RING, "inside": {"degrees": True, "headings": "y to x"}}, MOVES, "; use degrees = True, headings"),
+    (Toy, {"inside": {"degrees": True}}, MOVES, ". Use degrees = True"),
+    (Toy, {"degrees": True, "inside": {"degrees": False}}, MOVES, ". Use degrees = False"),
+    (Toy, {"inside": {"headings": "y to x"}}, MOVES, ". Use headings = 'y to x'"),
+    (Toy, {**RING, "inside": {"degrees": True, "headings": "y to x"}}, MOVES, ". Use degrees = True, headings"),
     (Toy, {"reference": "front", "inside": {"reference": "centre"}}, "turns about",
-     "; use reference = 'centre'"),
+     ". Use reference = 'centre'"),
     (Toy, {"reference": "rear axle", "rear_axle_offset": 1.4, "inside": {"reference": "centre"}}, "turns about",
-     "; use reference = 'centre'"),
+     ". Use reference = 'centre'"),
     (Toy, {"states": lambda self: [(x + 2.5, *rest) for x, *rest in self.cars]}, "after start", "2.50 m ahead of"),
     (Toy, {"states": lambda self: [(x - 1.4, *rest) for x, *rest in self.cars]}, "after start", "1.40 m behind the"),
-    (Toy, {"inside": {"hz": 10}}, "fits its speed", "distance for the ego (car, lane 2); use hz = 10.0"),
-    (Toy, {"hz": 50.0, "inside": {"hz": 1 / 0.03}}, "a vehicle fits its speed", "; use hz = 33.333333"),
+    (Toy, {"inside": {"hz": 10}}, "fits its speed", "distance for the ego (car, lane 2). Use hz = 10.0"),
+    (Toy, {"hz": 50.0, "inside": {"hz": 1 / 0.03}}, "a vehicle fits its speed", ". Use hz = 33.333333"),
     (Toy, {"metres": 0.3048, "lane_width": 12.0, "inside": {"metres": 1.0}}, "fits its speed",
-     "; use metres_per_second = 0.3048"),
+     ". Use metres_per_second = 0.3048"),
     (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "inside": {"metres_per_second": 1.0}}, "fits its speed",
-     "; use metres_per_second = 1.0"),
+     ". Use metres_per_second = 1.0"),
     (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "gas": lambda self, each: each.acceleration * 3.6}, OBEYS,
-     "3.60 times that for the ego (car, lane 2); use acceleration = 0.277778 times"),
+     "3.60 times that for the ego (car, lane 2). Use acceleration = 0.277778 times"),
     (Toy, {"gas": lambda self, each: each.acceleration / 3.6}, OBEYS, "(car, lane 2), as in km/h per second"),
-    (Toy, {"wheels": lambda self, each: -each.steering}, TURNS, "; use steering = -1.0 times that in control"),
+    (Toy, {"wheels": lambda self, each: -each.steering}, TURNS, ". Use steering = -1.0 times that in control"),
     (Toy, {"wheels": lambda self, each: math.radians(each.steering)}, TURNS, "0.02 times that for the ego"),
     (Toy, {"step": limited}, OBEYS, "times that for the ego"),
     (Toy, {"gas": lambda self, each: 0.0}, OBEYS, "0.00 times that for the ego"),
@@ -250,10 +250,10 @@ KEEPS, SAME = "keeps its speed and heading", "the same start with the same seed 
     (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, MOVES, "turned by -0.2"),
     (Toy, {"states": lambda self: [self.cars[0], *([x, y, 0.0, v] for x, y, _, v in self.cars[1:])]}, MOVES,
      "for NPC 0 (car, lane 3), whose heading turned by 0.00 rad"),
-    (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, MOVES, "; use headings = '-x to y'"),
+    (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, MOVES, ". Use headings = '-x to y'"),
     (Late, {}, "states() returns states after the step", "the first step does not move the ego"),
     (Late, {"states": lambda self: [Toy.states(self)[0], *self.seen[1:]]}, "states after the step", "not move NPC 0"),
-    (Worn, {}, SAME, "in a simulator that was used before; reset everything in start"),
+    (Worn, {}, SAME, "in a simulator that was used before. Reset everything in start"),
     (Own, {}, SAME, "draw random numbers from a generator that start creates from seed"),
     (Toy, {"gas": lambda self, each: each.acceleration + random.gauss(0.0, 0.001)}, SAME, "a generator that start"),
     (Shared, {}, "simulators in a process share nothing, unless the class states", "while"),
@@ -267,7 +267,7 @@ KEEPS, SAME = "keeps its speed and heading", "the same start with the same seed 
     (Toy, {"states": lambda self: sorted(Toy.states(self))}, "after start", "in another order than start"),
     (Toy, {"states": lambda self: self.cars[:4]}, "states() returns finite numbers of shape (7, 4)", "[[150.0"),
     (Toy, {"step": jumping}, "states() returns states after the step, without jumps", "for NPC 0 (car, lane"),
-    (Resized, {"size": lambda self, each: each._replace(length=each.width)}, TURNS, "use steering = 0.4 times"),
+    (Resized, {"size": lambda self, each: each._replace(length=each.width)}, TURNS, "Use steering = 0.4 times"),
     (Resized, {"size": lambda self, each: each._replace(length=5.0)}, "according to its length", "2.2 and 12 m"),
     (Resized, {"size": lambda self, each: {"car": each, "van": each}[each.kind]}, "vehicles of all types", "KeyError"),
     (InOwnLanes, {"across": lambda self, lane: 4.0 * (3 - lane)}, "after start", "counted from the right"),
@@ -298,7 +298,7 @@ class AtRearAxle(Toy):
 
 
 class Native(Toy):
-    """Its policy gets an array and answers with steering and throttle, as a network does; it has drag."""
+    """Its policy gets an array and answers with steering and throttle, as a network does. It has drag."""
 
     native = True
 
@@ -329,10 +329,10 @@ class Alone(Toy):
 
 
 WIDE = (
-    "control.steering turns the ego {:.2f} times as much as in a bicycle model; if its wheelbase is not its length, "
+    "control.steering turns the ego {:.2f} times as much as in a bicycle model. If its wheelbase is not its length, "
     "use atan({:.2f} * tan(steering))"
 )
-LATE = "a lagging drivetrain: control.acceleration of the ego takes effect {}, which is allowed"
+LATE = "control.acceleration of the ego takes effect {}. A lagging drivetrain is allowed"
 
 
 @table(("base", "members", "notes"), [
@@ -349,7 +349,7 @@ LATE = "a lagging drivetrain: control.acceleration of the ego takes effect {}, w
     (Toy, {"inside": {"length": 0.5}}, [WIDE.format(2.0, 0.5)]),
     (Toy, {"gas": lambda self, each: each.acceleration + 0.05 * self.random.gauss(0.0, 1.0)}, []),
     (Delayed, {}, [LATE.format("0.07 s late"), "control.steering of the ego takes effect 0.07 s late"]),
-    (Lagging, {}, [LATE.format("0.23 s late"), "set moves_ego_only = True if NPCs obey immediately"]),
+    (Lagging, {}, [LATE.format("0.23 s late"), "Set moves_ego_only = True if NPCs obey immediately"]),
     (Lagging, {"hz": 240}, [LATE.format("0.28 s late"), "control.steering of the ego takes effect 0.27 s late"]),
     (DelayedEgo, {"ticks": 7}, [LATE.format("0.47 s late"), "control.steering of the ego"]),
     (Dragging, {}, [LATE.format("in part, 0.80 times")]),
@@ -358,7 +358,7 @@ LATE = "a lagging drivetrain: control.acceleration of the ego takes effect {}, w
     (Substeps, {}, []),
     (Toy, {**RING, "lane_width": 3.0, "lanes": [circle(radius) for radius in (300.0, 303.0, 306.0)]}, []),
     (AtRearAxle, {}, [WIDE.format(1.79, 0.56)]),
-    (AtRearAxle, {"reference": "centre", "rear_axle_offset": None}, ['set reference = "rear axle"?']),
+    (AtRearAxle, {"reference": "centre", "rear_axle_offset": None}, ['Should reference be "rear axle"?']),
     (Native, {}, []),
     (Alone, {}, []),
 ])  # fmt: skip
@@ -384,7 +384,7 @@ def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
 def test_policy_that_fails_in_the_check_is_named_as_such():
     error, _ = checked(made(), ads=lambda: lambda seen: None)
     assert error.startswith("expected that random runs are valid, and the policy of the check drives in this world")
-    assert error.endswith("give a different ads=")
+    assert error.endswith("Give a different ads=")
 
 
 def test_simulator_whose_states_freeze_is_refused_with_method_and_tick():
@@ -427,6 +427,6 @@ def test_what_is_no_world_is_refused_with_the_way_out():
         def rollout(self, scenario, ads_factory):
             raise AssertionError
 
-    told = r"derive your own simulator from pafot\.Simulator, and pass it to pafot\.SimulatorWorld"
+    told = r"Derive your own simulator from pafot\.Simulator, and pass it to pafot\.SimulatorWorld"
     with pytest.raises(WorldError, match=told):
         check_world(Mine())

@@ -25,22 +25,22 @@ def made(value, *, hz=2, ticks=4, **bounds):
 def test_broken_bound_message_has_value_unit_and_time():
     with recorded(Recording(hz=2, ticks=4)), pytest.raises(CheckFailed) as failed:
         pafot.check(JERK, name="jerk", at_most=20, unit="m/s^3")
-    assert str(failed.value) == "jerk 35.1 > 20 m/s^3 at 1.5 s"
+    assert str(failed.value) == "jerk = 35.1 > 20 m/s^3 at 1.5 s"
     assert isinstance(failed.value, AssertionError)
 
 
 def test_lower_bound_message_names_the_npc():
-    assert str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1)) == "jerk 0.3 < 0.5 s at 4.2 s (NPC 1)"
-    assert str(made(0.7, at_least=0.5, unit="s")) == "jerk 0.7 >= 0.5 s"
-    assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk 12.0 > 10"
+    assert str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1)) == "jerk = 0.3 < 0.5 s at 4.2 s (NPC 1)"
+    assert str(made(0.7, at_least=0.5, unit="s")) == "jerk = 0.7 >= 0.5 s"
+    assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk = 12.0 > 10"
 
 
 def test_a_value_never_reads_as_its_bound():
-    assert str(made(0.2963, at_least=0.3)) == "jerk 0.296 < 0.3"
-    assert str(made(20.04, at_most=20.0)) == "jerk 20.04 > 20"
-    assert str(made(20.0, at_most=20.0)) == "jerk 20 <= 20"
-    assert str(made(20.04, at_most=20.03)) == "jerk 20.04 > 20.03"
-    assert str(made(5.56, at_least=5.57)) == "jerk 5.56 < 5.57"
+    assert str(made(0.2963, at_least=0.3)) == "jerk = 0.296 < 0.3"
+    assert str(made(20.04, at_most=20.0)) == "jerk = 20.04 > 20"
+    assert str(made(20.0, at_most=20.0)) == "jerk = 20 <= 20"
+    assert str(made(20.04, at_most=20.03)) == "jerk = 20.04 > 20.03"
+    assert str(made(5.56, at_least=5.57)) == "jerk = 5.56 < 5.57"
 
 
 def test_margin_is_in_units_of_bound_or_scale():
@@ -53,7 +53,7 @@ def test_margin_is_in_units_of_bound_or_scale():
 
 def test_without_a_recording_it_only_asserts():
     pafot.check(1.0, name="x", at_most=2.0)
-    with pytest.raises(CheckFailed, match=r"x 3\.0 > 2"):
+    with pytest.raises(CheckFailed, match=r"x = 3\.0 > 2"):
         pafot.check(3.0, name="x", at_most=2.0)
 
 

@@ -26,7 +26,7 @@ def lines_of(*npcs, **more):
 def test_headline_names_origin_of_npc():
     run = crash()
     assert run.impact == "The ego hit NPC 0, which came from the left, after 4.8 s, closing at 0.0 m/s"
-    assert " ".join(run.explain().split()).startswith(f"{run.impact}: 10.0 against 10.0 m/s The ego entered ")
+    assert " ".join(run.explain().split()).startswith(f"{run.impact} (ego 10.0 m/s, NPC 10.0 m/s) The ego entered ")
     assert run.event_cell is None
     assert run.place_of(run.collision) == "from the left in the zone o3>o1"
 
@@ -55,7 +55,7 @@ def test_collision_place_without_record_is_left_out():
     trace = replace(crash().trace, zones=(), on_way=None)
     run = Run(trace)
     assert run.impact == "The ego's front hit NPC 0 after 4.8 s, closing at 0.0 m/s"
-    assert run.sentences[0] == "NPC 0 kept 10.0 m/s and did not brake after 2.8 s."
+    assert run.sentences[0] == "NPC 0 drove at 10.0 m/s and did not brake from 2.8 s on."
 
 
 def test_moments_of_a_run_include_crossing_npcs():

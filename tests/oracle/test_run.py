@@ -95,10 +95,10 @@ def test_its_repr_fits_the_header_of_a_traceback():
 def test_explanation_covers_event_fault_and_npc_instructions():
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
-        "The ego hit NPC 0 from behind after 2.0 s, closing at 10.0 m/s: 20.0",
-        "  against 10.0 m/s",
-        "  NPC 0, 21.0 m ahead of the ego at 0.0 s, kept 10.0 m/s.",
-        "  The ego kept 20.0 m/s and did not brake after 0.0 s.",
+        "The ego hit NPC 0 from behind after 2.0 s, closing at 10.0 m/s (ego",
+        "  20.0 m/s, NPC 10.0 m/s)",
+        "  At 0.0 s, NPC 0 was 21.0 m ahead of the ego. It drove at 10.0 m/s.",
+        "  The ego drove at 20.0 m/s and did not brake.",
         "  The ego is responsible.",
         "  hardest braking by the ego: 0.0 m/s^2",
         "  from [s]  NPC 0                                 NPC 1",

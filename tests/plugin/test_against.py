@@ -80,7 +80,7 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
     result.stdout.fnmatch_lines(
         [
             f"*found a failed assertion: test_it.py::test_keeps_its_speed?saved-{id_}?*",
-            f"  No worse than planner_before:make: of {paired['runs']} random scenarios, {counts[:6]}*",
+            f"  This policy is no worse than planner_before:make: of {paired['runs']} random scenarios, {counts[:6]}*",
             f"  Not counted, because the reference fails as often in other scenarios: {id_} *",
             "compared with planner_before:make: 0 failures introduced, 0 fixed, 0 unchanged, 1 in other scenarios",
         ]
@@ -93,7 +93,7 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
     assert counts in (project.path / "pafot.html").read_text()
     summary = (project.path / "summary.md").read_text()
     assert summary.startswith("### pafot: nothing new, 1 no worse")
-    assert "\nNo worse than planner" in summary
+    assert "\nThis policy is no worse than planner" in summary
     assert f"random scenarios, {counts}." in summary
     assert project.files == []
 
@@ -132,7 +132,7 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
     ]
     assert speeds[0] > speeds[1] + 1.0
     result = project.run(AGAINST, "--pafot-json=pafot.json", runs=0)
-    worse = f"hits at {speeds[0]:.1f} m/s, {speeds[1]:.1f} before"
+    worse = f"hits at {speeds[0]:.1f} m/s instead of {speeds[1]:.1f}"
     result.stdout.fnmatch_lines([f"1 of 1 unchanged failure became worse: {saved.id} {worse}"])
     told = json.loads((project.path / "pafot.json").read_text())["findings"][0]
     assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(speeds, abs=1e-3)

@@ -35,7 +35,7 @@ def test_each_garbled_file_or_invalid_name_fails_one_item_with_location(saved):
             f"test_fails[saved-garbled-{number}]",
             f"*garbled-{number}.pafot.yaml*{field}*expected *, received *",
         )
-    lines = [line for line in result.outlines if line.endswith("; rename the file")]
+    lines = [line for line in result.outlines if line.endswith(". Rename the file")]
     for name in names:
         assert any(f"{name}.pafot.yaml: expected a file name that consists of 1 to" in line for line in lines), name
 
@@ -52,7 +52,7 @@ def test_unwritable_corpus_loses_no_finding(failing):
     result = failing.run()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(
-        ["It was not saved: *expected to save a finding, *", "The file would contain:", "  pafot: 3"]
+        ["It was not saved: *expected a file for the finding, *", "The file would contain:", "  pafot: 3"]
     )
 
 

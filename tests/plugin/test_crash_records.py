@@ -7,7 +7,7 @@ def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     failing.mend()
     result = failing.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*collision at * instead of a process that died"])
+    result.stdout.fnmatch_lines(["*collision at * instead of a process crash"])
 
 
 def test_killed_session_causes_no_false_crash_of_replay(failing):

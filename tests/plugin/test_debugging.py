@@ -43,6 +43,13 @@ def test_one_step_leads_into_the_policy(found, options):
     assert code == pytest.ExitCode.TESTS_FAILED
 
 
+def test_a_scenario_that_passes_has_no_debugger(found, project):
+    project.write(KEEPS.replace("acceleration = 0.0", "acceleration = -6.0"))
+    code, output = found("")
+    assert "--pafot-debug did not start a debugger, because the saved scenario" in output.replace("\n  ", " ")
+    assert code == pytest.ExitCode.OK
+
+
 def test_a_worker_has_no_debugger(found):
     code, output = found("", "-n1", "-p", "xdist")
     assert "--pafot-debug: expected a session in one process" in output.replace("\n  ", " ")

@@ -81,7 +81,7 @@ def filed(project, world=None, failure=HIT, expect=None):
     exec(POLICIES, namespace)
     run = pafot.Run(pafot.Highway(lanes=3).rollout(SCENARIO, namespace["fast"]))
     assert (round(run.collision.time, 1), run.attribution.fault) == (5.6, "leader-unanswered")
-    finding = Finding.of(
+    finding = Finding.from_run(
         run,
         failure,
         test="test_it.py::test_gap",
@@ -129,7 +129,7 @@ def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(saved,
     result = replay(saved, policy, *against)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
-    assert ("policies:fast, which fails" in result.stdout.str()) == bool(against)
+    assert ("policies:fast fails" in result.stdout.str()) == bool(against)
     told = (
         "the same NPC still collides with the ego after the end of the saved scenario (The ego hit NPC 0 from behind "
     )
@@ -179,7 +179,9 @@ def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     for _ in range(2):
         result = replay(saved, "dying", before=before)
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed", "  passed*: *"])
-        told = "it was not run after the end of the saved scenario, because a process died there before and this system"
+        told = (
+            "it was not run after the end of the saved scenario, because a process died there before, and this system"
+        )
         assert told in " ".join(result.stdout.str().split())
 
 
@@ -258,7 +260,7 @@ def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
 def test_reference_is_driven_on_as_well(saved, now, before, label, reference):
     result = replay(saved, now, f"--pafot-against=policies:{before}")
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
-    assert f"compared with policies:{before}, which {reference}" in " ".join(result.stdout.str().split())
+    assert f"policies:{before} {reference}" in " ".join(result.stdout.str().split())
 
 
 def test_property_that_a_test_records_is_that_of_the_file(saved):

@@ -49,7 +49,7 @@ def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
         [
             r"replayed 1 saved scenario: 1 passed \(not found again\)",
             r"  passed \(not found again\): .*",
-            r"    no such failure in \d+ random runs, so it occurs in .*",
+            r"    the failure did not occur in \d+ random runs, so it occurs in .*",
         ]
     )
 

@@ -71,8 +71,8 @@ KINDS = {  # the policy, the arguments of its search, the body of its test, and 
               "a failed check"),
     "measure": ("cruise", "", "assert run.min_ttc > 1.0", "a failed assertion"),
     "error": ("raises", "", "pass", "an error in the policy"),
-    "hang": ("hangs", "world=pafot.Highway(hang_limit=0.2)", "pass", "a decision that hung"),
-    "death": ("dies", "isolate=True", "pass", "a process that died"),
+    "hang": ("hangs", "world=pafot.Highway(hang_limit=0.2)", "pass", "a hang in the policy"),
+    "death": ("dies", "isolate=True", "pass", "a process crash"),
     "random": ("dice", "blame='ego'", "assert not run.collision", "a collision"),
 }  # fmt: skip
 
@@ -223,11 +223,11 @@ def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinkin
     first = search(project, "-v", *options)
     assert first.ret == 1
     assert len(first.stdout.str()) < 100_000
-    first.stdout.fnmatch_lines(["*begun", "*characters of output are omitted; run pytest -s*"])
+    first.stdout.fnmatch_lines(["*begun", "*characters of output are omitted. Run pytest -s*"])
     replayed = search(project, *options, runs=0)
     assert replayed.ret == 1
     assert len(replayed.stdout.str()) < 100_000
-    replayed.stdout.fnmatch_lines(["*characters of output are omitted; run pytest -s*"])
+    replayed.stdout.fnmatch_lines(["*characters of output are omitted. Run pytest -s*"])
 
 
 KEPT = """

@@ -43,7 +43,7 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     for number in range(6):
         name = folder / f"l-{number}.pafot.yaml"
         result.stdout.fnmatch_lines(
-            [f"{name}: expected a file inside the corpus, received a link to a file outside it; *"]
+            [f"{name}: expected a file inside the corpus, received a link to a file outside it. *"]
         )
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
@@ -108,8 +108,9 @@ def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere
     (failing.path / "out").symlink_to(elsewhere)
     before = all_in(elsewhere)
     result = failing.run("--pafot-report=out/page.html", "--pafot-json=out/o.json")
-    why = f"not written: expected a folder, received the link {failing.path / 'out'}, *"
-    result.stdout.fnmatch_lines_random([f"*--pafot-report=out/page.html: {why}", f"*--pafot-json=out/o.json: {why}"])
+    why = f"was not written: expected a folder, received the link {failing.path / 'out'}, *"
+    told = (f"*--pafot-report=out/page.html: the page {why}", f"*--pafot-json=out/o.json: the file {why}")
+    result.stdout.fnmatch_lines_random(told)
     assert all_in(elsewhere) == before
     failing.run(f"--pafot-json={failing.path / 'out' / 'o.json'}")
     assert all_in(elsewhere) != before

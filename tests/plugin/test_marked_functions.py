@@ -198,9 +198,9 @@ def test_given_and_search_on_one_function_are_refused(project):
 
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of ads, *"),
-    ("5", "*expected keyword arguments only, received (5,)*"),
+    ("5", "*expected only keyword arguments, received (5,)*"),
     ("today='a'", "*this option applies to the whole session. Use --pafot-today on the command line*"),
-    ("blame='npc'", "*(blame=...): expected one of any, ego, received 'npc'. blame='ego'*"),
+    ("blame='npc'", "*(blame=...): expected any or ego, received 'npc'. blame='ego'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     (
         "world=pafot.Highway",
@@ -216,7 +216,7 @@ WRONG = [
 
 
 def told_of(project, cases, before=""):
-    """Return a session's result; the failure of each of these arguments tells its message."""
+    """Return a session's result. The failure of each of these arguments tells its message."""
     tests = [f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n" for n, (arguments, _) in enumerate(cases)]
     project.write("\n".join([before, *tests, "def test_other():\n    pass\n"]))
     result = project.run()
@@ -248,7 +248,7 @@ REFUSED = [
 def test_argument_refused_by_world_or_run_fails_item(project):
     result = told_of(project, REFUSED)
     result.assert_outcomes(failed=len(REFUSED), passed=1)
-    result.stdout.no_fnmatch_line("*did not finish; its findings so far are reported*")
+    result.stdout.no_fnmatch_line("*did not finish. Its findings so far are reported*")
 
 
 def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
@@ -257,7 +257,7 @@ def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
     project.run().stdout.fnmatch_lines(
         [
             "the fixture 'adss', which must return the policy's factory, was not",
-            "  found; did you mean 'ads'[?]",
+            "  found. Did you mean 'ads'[?]",
             "    def adss():",
             'Or name another fixture with @pafot.search(ads="..."), or pass a',
             "  factory: @pafot.search(ads=MyPlanner).",
@@ -316,7 +316,7 @@ def test_skips_later(run):
     result = project.run("-v")
     assert result.parseoutcomes()["failed"] == 1 + len(project.files)
     assert project.files
-    result.stdout.fnmatch_lines(["  It took * s for 4 runs (2 skipped)*"])
+    result.stdout.fnmatch_lines(["  4 runs (2 skipped)* took * s."])
 
 
 @pytest.mark.parametrize("skip", ["pytest.skip('not today')", "raise unittest.SkipTest('not today')"])

@@ -86,7 +86,7 @@ def test_collides(run):
     result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
-    answers = r"the policy chose acceleration 0\.0 m/s\^2, and the reference acceleration -6\.0 m/s\^2\."
+    answers = r"the policy chose acceleration 0\.0 m/s\^2, and the reference chose acceleration -6\.0 m/s\^2\."
     result.stdout.re_match_lines([rf"At \d+\.\d s, in the first decision that differs, {answers}"])
 
 

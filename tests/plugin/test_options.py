@@ -180,7 +180,7 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
         monkeypatch.setenv("CI", "true")
     result = project.run(runs=4)
     result.assert_outcomes(skipped=1)
-    told = "  warning: test_it.py::test_skipped was skipped, so its policy was not tested: no weights"
+    told = "  warning: the policy of test_it.py::test_skipped was not tested, because the test was skipped: no weights"
     assert (told in result.outlines) == is_ci
 
 

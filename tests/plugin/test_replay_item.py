@@ -74,7 +74,10 @@ def test_accepted_file_that_passes_fails_until_line_removed(saved):
     result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["[[]XPASS(strict)] planner issue 12", f"passes: remove the line `xfail:` from {saved.files[0]}"]
+        [
+            "[[]XPASS(strict)] planner issue 12",
+            f"It did not fail (passes). Remove the line `xfail:` from {saved.files[0]}",
+        ]
     )
 
 
@@ -92,7 +95,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-OVER = "  warning: *: the failure was accepted (planner issue 12, until 2027-01-31), but that day has passed. Correct *"
+OVER = "  warning: *: the failure is no longer accepted (planner issue 12, until 2027-01-31). Correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
@@ -204,10 +207,10 @@ def test_invalid_world_or_scenario_fails_item_with_line(saved):
         (
             "lanes: 4",
             "lanes: 40",
-            "15: world.lanes: expected a whole number from 3 to 6, received 40; correct *",
+            "15: world.lanes: expected a whole number from 3 to 6, received 40. Correct *",
         ),
         ("overspeed: 1.1", "overspeed: 2.0", "15: world.speed_limit: expected at most 20.0 m/s, because *"),
-        ("lane: 1, speed", "lane: 9, speed", "4: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
+        ("lane: 1, speed", "lane: 9, speed", "4: scenario.ego.lane: expected a lane from 0 to 3, received 9. *"),
         (
             "cell: rear, speed: 0.0",
             "cell: rear, speed: 99.0",
@@ -308,7 +311,7 @@ FAILS_ALWAYS, PASSES_ALWAYS = "0", "1000"
 
 @pytest.fixture
 def by_chance(project, monkeypatch):
-    """Save an accepted finding whose file says that it is flaky; return a function that sets how many runs pass."""
+    """Save an accepted finding whose file says that it is flaky. Return a function that sets how many runs pass."""
     project.write(CHANCE)
     monkeypatch.setenv("PASSES", FAILS_ALWAYS)
     project.run()
@@ -323,7 +326,7 @@ def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, pas
     accepted = project.run("--pafot-today=2027-01-31", "-rx", runs=0)
     accepted.assert_outcomes(xfailed=1, skipped=1)
     assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (passes == PASSES_ALWAYS)
-    assert "remove the line" not in accepted.stdout.str()
+    assert "Remove the line" not in accepted.stdout.str()
     over = project.run("--pafot-today=2027-02-01", runs=0)
     over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
 

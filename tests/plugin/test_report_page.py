@@ -105,7 +105,7 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     assert {finding.id for finding in findings} == {name.split("/")[-1][:-11] for name in project.files}
     assert "runs 2 failed 2 " in search
     assert search.endswith("ended interrupted")
-    assert "The session was interrupted. This report covers only what ran before." in text
+    assert "The session was interrupted. This report covers only what had run by then." in text
 
 
 KEPT = "The property held in all evaluated runs."
@@ -167,7 +167,7 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
     project.write("def test_b():\n    pass\n")
     result = project.run("--pafot-report=report.html")
     assert not page.exists()
-    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: not written, because*"])
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: the page was not written, because*"])
 
 
 def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page, shrinking):

@@ -154,7 +154,7 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
 def test_inconclusive_retry_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)
-    replayed(project).stdout.fnmatch_lines(["*If it was killed from outside, delete the file*"])
+    replayed(project).stdout.fnmatch_lines(["*If something else killed the process, delete the file*"])
     assert project.only_id.startswith("crash-")
 
 

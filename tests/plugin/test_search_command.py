@@ -214,7 +214,7 @@ def test_a_folder_that_is_full_is_told_in_one_line(here, capsys, monkeypatch):
     told = capsys.readouterr().err
     assert told.startswith("search: --write-test: expected a writable folder, received")
     assert told.endswith(
-        ": No space left on device; free some space on the disk, or run the command in another folder\n"
+        ": No space left on device. Free some space on the disk, or run the command in another folder\n"
     )
     assert not (here / "test_safety.py").exists()
 

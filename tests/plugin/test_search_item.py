@@ -105,6 +105,14 @@ def test_central_corpus_mirrors_the_folders_of_tests(failing):
     failing.run(f"--pafot-corpus={failing.path / 'all'}", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
+def test_commands_name_the_folder_of_the_command_line(failing):
+    option = f"--pafot-corpus={failing.path / 'all'}"
+    result = failing.run(option)
+    result.stdout.fnmatch_lines([f"replay pytest {option} *.pafot.yaml", f"pytest {option} --pafot-runs=0 replays *"])
+    command = next(line for line in result.outlines if line.startswith("replay pytest")).split()[2:]
+    failing.pytester.runpytest("-p", "pafot", *command).assert_outcomes(failed=1)
+
+
 def test_each_parametrisation_of_a_test_or_its_ads_has_its_own_files(project):
     project.write("""
 @pytest.fixture(params=["slow", "fast"])

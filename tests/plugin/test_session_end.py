@@ -32,14 +32,15 @@ def is_whole(result):
     return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
 
 
-PAGE = "problem: --pafot-report=x.html: not written: "
+PAGE = "problem: --pafot-report=x.html: the page was not written: "
+RECORDS = "problem: the records of processes that died were not read: "
 
 
 @pytest.mark.parametrize(("function", "error", "expected"), [
-    ("plugin.reporter.unclaimed", ValueError, "problem: the records of processes that died: ValueError: a fault"),
+    ("plugin.reporter.unclaimed", ValueError, f"{RECORDS}ValueError: a fault"),
     ("report.page.render_page", ValueError, f"{PAGE}ValueError: a fault"),
     ("report.page.render_page", KeyboardInterrupt, f"{PAGE}KeyboardInterrupt: a fault"),
-    ("report.terminal.session_lines", ValueError, "the summary of pytest-pafot: ValueError: a fault"),
+    ("report.terminal.session_lines", ValueError, "pafot: the summary was not printed: ValueError: a fault"),
 ], ids=["records", "report", "interrupt", "summary"])  # fmt: skip
 def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, error, expected):
     def fail(*arguments, **named):
@@ -60,7 +61,7 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)
-    assert "problem: the report of the findings of test_it.py::test_fails[search]: ZeroDivisionError: " in text
+    assert "problem: test_it.py::test_fails[search]: the findings were not reported: ZeroDivisionError: " in text
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
@@ -89,9 +90,9 @@ def leak():
     result = project.run("--pafot-report=x.html", apart=True)
     assert is_whole(result)
     text = text_of(result)
-    assert "problem: --pafot-report=x.html: not written: " in text
-    assert "it cannot be used: Too many open files (" in " ".join(text.split())
-    assert "close the files that the ADS and the tests have opened" in " ".join(text.split())
+    assert "problem: --pafot-report=x.html: the page was not written: " in text
+    assert "received the error: Too many open files. " in " ".join(text.split())
+    assert "Close the files that the ADS and the tests have opened" in " ".join(text.split())
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.writer import named
+from pytest_pafot.corpus.writer import scenario_data
 from pytest_pafot.plugin import reporter
 from pytest_pafot.plugin.session import exit_code
 from pytest_pafot.report.session import Session
@@ -86,7 +86,7 @@ def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
     assert find.file is None
     failing.run()
     saved = load(failing.only_file)
-    assert find.scenario == named(saved.scenario)
+    assert find.scenario == scenario_data(saved.scenario)
     assert codec.from_dict(find.world) == codec.from_dict(saved.world)
 
 
@@ -98,7 +98,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    told = f"{saved.files[0]}: the failure was accepted (planner issue 12, until 2027-01-31), but that day has passed. "
+    told = f"{saved.files[0]}: the failure is no longer accepted (planner issue 12, until 2027-01-31). "
     assert warning.startswith(told)
 
 
@@ -244,8 +244,8 @@ def test_properties_of_a_marked_test_are_those_of_one_run(project):
 def test_folder_in_place_of_record_file_is_named(failing):
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")
-    told = "rename or delete the folder that has this name, or name another file"
-    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: * ({told})"])
+    told = "Rename or delete the folder that has this name, or name another file"
+    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: the file was not written: *. {told}"])
 
 
 @pytest.fixture
@@ -298,7 +298,7 @@ def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypat
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
     result = failing.run("--pafot-json=pafot.json")
     result.assert_outcomes(failed=2)
-    told = "not written: No such file or directory (create the missing folder, or name another file)"
+    told = "the summary was not written: No such file or directory. Create the missing folder, or name another file"
     result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 

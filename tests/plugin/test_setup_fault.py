@@ -189,17 +189,17 @@ PREDICT = (
 )
 
 MESSAGES = {
-    "Planner": ["expected keyword arguments only", "Write the argument's name, as in @pafot.search(ads=Planner)"],
-    "Planner()": ["expected keyword arguments only", "Write the argument's name, as in @pafot.search(ads=...)"],
+    "Planner": ["expected only keyword arguments", "Write the argument's name, as in @pafot.search(ads=Planner)"],
+    "Planner()": ["expected only keyword arguments", "Write the argument's name, as in @pafot.search(ads=...)"],
     "model.predict": ["Write the argument's name, as in @pafot.search(ads=predict)"],
     "ads=Planner()": ["that can be called without arguments, received one with * (observation)", NO_FACTORY],
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=keep": [
         "with the signature (observation) ",
-        "If keep is the ADS itself, write `lambda: keep`; if it makes an ADS, `lambda: keep(...)`",
+        "If keep is an ADS, write `lambda: keep`. If it makes one, write `lambda: keep(...)`",
     ],
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "Write `lambda: lambda observation: ...`"],
-    "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
+    "ads=lambda: print()": ["received None. Is a `return` missing?"],
     "ads=lambda: model": [PREDICT],
     "ads=model": ["expected the name of a fixture or a factory such as `lambda: MyPlanner()`", PREDICT],
     "ads='trained'": ["expected the fixture 'trained' to return a factory", PREDICT],
@@ -211,7 +211,7 @@ MESSAGES = {
         "TypeError: *'road' and 'position'",
         "pass its class without calling it, as in `ads=MyVehicle`",
     ],
-    "ads=Configured": ["Pass the arguments in a function, `lambda: Configured(...)`"],
+    "ads=Configured": ["Wrap the call in a function that passes the arguments, such as `lambda: Configured(...)`"],
     "world=five, ads=lambda: model.predict": [
         "received (np.int64(1), None); (action, state) is what `model.predict` returns: use "
         "`model.predict(observation, deterministic=True)[0]`"
@@ -241,7 +241,7 @@ MESSAGES = {
     "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": [
-        "expected a registered environment, received 'highway-v9'; did you mean 'highway-v0'? highway-env's straight *"
+        "expected a registered environment, received 'highway-v9'. Did you mean 'highway-v0'? highway-env's straight *"
     ],
     "world='builtins:print'": [
         "the factory 'builtins:print' to return pafot.Highway(*, received None. Return a world, such as pafot.World("
@@ -255,12 +255,12 @@ MESSAGES = {
         ". Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld",
     ],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
-        "; did you mean pafot.World('highway-v0', config=...)?"
+        ". Did you mean pafot.World('highway-v0', config=...)?"
     ],
     "world=gymnasium.make('CartPole-v1')": [
         ". Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
     ],
-    "worlds=five": ["(worlds=...): expected one of ads, against, *, received 'worlds'; did you mean 'world'?"],
+    "worlds=five": ["(worlds=...): expected one of ads, against, *, received 'worlds'. Did you mean 'world'?"],
 }
 
 

@@ -90,7 +90,7 @@ def test_report_shows_shrunk_run_and_both_sizes(collides):
         [
             f"run = <Run collision after *, scenario {finding.scenario.id}>",
             "It was simplified from 2 NPCs, 4 instructions* to 1 NPC, *",
-            "  It took * s for * run*, * run* to simplify failures and *",
+            "  * run*, * more to analyse failures and * took * s.",
         ]
     )
 
@@ -126,7 +126,7 @@ def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, 
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
     told = f"  note: the search ended before 1 new finding was simplified. {how}"
     result.stdout.fnmatch_lines(
-        ["pafot: found a failed *test_interrupted*", "  It ended early, *, because it was interrupted.", told]
+        ["pafot: found a failed *test_interrupted*", "  The search ended early, *, because it was interrupted.", told]
     )
     result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
@@ -237,8 +237,8 @@ def test_brakes(run):
 """)
     result = run(project)
     result.stdout.fnmatch_lines([
-        "Flaky: running it again gave a different run: speed of the ego differs by 0.2 m/s after 0.0667 s; the policy "
-        "had decided differently; it fails in 5 of 10 runs.",
+        "Flaky: running it again gave a different run: speed of the ego differs by 0.2 m/s after 0.0667 s. The policy "
+        "had decided differently. It fails in 5 of 10 runs.",
         "The policy probably has its own random generator. Seed it in the factory of the policy, or * predict(..., "
         "deterministic=True)).",
         "  hardest-brake-*: 1 run (new, flaky).",

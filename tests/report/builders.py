@@ -52,7 +52,7 @@ CUT_IN = scenario([(1, 25.0), (2, 8.0)], [(4, 20.0), (4, 20.0)], seed=7)
 def finding_of(trace, **more):
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     found = Found(seed=1, generation=3, algorithm="pafot", versions={"pytest-pafot": "0.1.0"})
-    return Finding.of(Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found)
+    return Finding.from_run(Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found)
 
 
 def seen_of(trace, finding=None, **more):

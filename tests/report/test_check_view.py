@@ -39,7 +39,7 @@ def shown(value, **arguments):
     check = checked(value, **arguments)
     failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     given = finding_of(trace)
-    finding = Finding.of(Run(trace), failure, test=given.test, world=given.world, found=given.found)
+    finding = Finding.from_run(Run(trace), failure, test=given.test, world=given.world, found=given.found)
     return view_of(trace, finding, check=check, headline=str(check))
 
 
@@ -80,7 +80,7 @@ def test_single_number_and_values_of_unknown_ticks_have_no_curve():
 
 def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0).replace("\u00a0", " ")
-    headline = "The check fails from 4.1 s: jerk 35.1 &gt; 20 m/s^3<"
+    headline = "The check fails from 4.1 s: jerk = 35.1 &gt; 20 m/s^3<"
     assert article.index(headline) < article.index('class="player"') < article.index("<footer>")
     assert article.partition('class="yaml"')[0].count("35.1") == 1
     assert "failed check" not in article  # each fact once
@@ -89,22 +89,24 @@ def test_article_starts_with_check_value_bound_and_moment():
 
 def test_a_single_number_fails_at_its_moment_and_an_npc_is_named():
     named = shown(35.1, at_most=20, at=4.2, npc=0)
-    assert named.headline == "The check fails at 4.2 s: jerk 35.1 > 20 m/s^3 (NPC 0)"
-    assert shown(35.1, at_most=20).headline == "The check fails: jerk 35.1 > 20 m/s^3"
+    assert named.headline == "The check fails at 4.2 s: jerk = 35.1 > 20 m/s^3 (NPC 0)"
+    assert shown(35.1, at_most=20).headline == "The check fails: jerk = 35.1 > 20 m/s^3"
 
 
 def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_checks():
     trace = cut_in_trace()
     check, collided = checked(3.0, trace.ticks, at_most=2.5), view_of(trace)
     view = view_of(trace, finding_of(trace), check=check, headline=str(check))
-    assert collided.deed.startswith("The ego kept ")
+    assert collided.deed.startswith("The ego drove at ")
     assert view.deed == collided.deed
     assert view.sentences == ()
     assert view.besides.startswith("There was also a collision in this run. The ego hit NPC 0 from behind after ")
     assert view.besides.endswith("; both at fault.")
     title, words, _ = view.happened[0]
     assert title == "The collision"
-    assert words.startswith("The ego hit NPC 0 from behind after 14.3 s, closing at 8.2 m/s: 22.0 against 13.8 m/s. ")
+    assert words.startswith(
+        "The ego hit NPC 0 from behind after 14.3 s, closing at 8.2 m/s (ego 22.0 m/s, NPC 13.8 m/s). "
+    )
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0).replace("\u00a0", " ")
     assert f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article  # red, as a collision's
@@ -122,12 +124,12 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     view = view_of(trace, finding_of(trace), check=check, headline=str(check))
     least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
     begin = np.flatnonzero(least < bound)[0] / 15
-    assert view.headline.startswith(f"The check fails from {begin:.1f} s: room ")
+    assert view.headline.startswith(f"The check fails from {begin:.1f} s: room = ")
     assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
     assert len(view.check.values) == len(view.times)
     other = view_of(trace, finding_of(trace), check=replace(check, value=1.2), headline="x")
     assert (other.check.values, other.check.time) == ((), None)
-    assert other.sentences[0] == f"The check fails: room 1.2 < 1.5 {unit}."  # which its headline does not say
+    assert other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."  # which its headline does not say
 
 
 @pytest.mark.parametrize("at", [1.0, None])

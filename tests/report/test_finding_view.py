@@ -130,7 +130,7 @@ def test_headline_and_prose_are_from_run_by_default():
     view, hit = view_of(rear_trace()), rear_trace().collision
     assert (view.event.kind, view.event.npc, view.event.side) == ("collision", hit.npc, hit.side)
     assert view.event.time == pytest.approx(hit.time, abs=0.001)
-    assert view.headline == f"{Run(rear_trace()).impact}: {hit.ego_speed:.1f} against {hit.npc_speed:.1f} m/s"
+    assert view.headline == f"{Run(rear_trace()).impact} (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
     assert words_of(view)[0].startswith("Hardest braking by the ego: ")
     assert view_of(rear_trace(), headline="H").headline == "H"
 
@@ -146,7 +146,7 @@ def test_takeover_is_above_the_picture():
     assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
-    careful = "A careful driver who took over 1.25 s before the impact would have avoided it."
+    careful = "A careful driver who took control 1.25 s before the impact would have avoided it."
     assert view.sentences == (first, *others[:-1], f"NPC 0 is responsible. {careful}")
     assert view.deed == ""  # NPC 0 is responsible
     (prose,) = words_of(view)

@@ -44,7 +44,7 @@ def test_facts_include_replay_labels_and_versions():
     replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
     facts = dict(session_facts([], replays))
     assert facts["replayed"] == "3 saved scenarios: 2 passed (not found again), 1 still failing"
-    assert facts["passed (not found again)"] == "t[t2]: no such failure in 40 runs"
+    assert facts["passed (not found again)"] == "t[t2]: the failure did not occur in 40 runs"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
 

@@ -51,9 +51,9 @@ SEARCH = Search(
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
     warnings=(
-        "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
+        "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started. Give them more time",
     ),
-    notes=("stopped by --pafot-max-time, so the same seed may find other failures next time",),
+    notes=("--pafot-max-time ended the search, so the same seed may find other failures",),
 )
 
 
@@ -99,7 +99,7 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
 
 @table(("failing", "otherwise", "runs", "lines"), [
     (1, 15, 20, ["18 of 48 runs failed", "16 of 20 random scenarios failed: 80.0 % (95 %: 56.3 to 94.3 %)."]),
-    (0, 0, 20, ["18 of 48 runs failed", "None of 20 random scenarios failed: 0 % (95 %: at most 16.8 %)."]),
+    (0, 0, 20, ["18 of 48 runs failed", "None of 20 random scenarios failed: 0 % (95 %: at most 17 %)."]),
     (3, 15, 44, ["18 of 44 random scenarios failed: 40.9 % (95 %: "]),  # of 48 runs, 4 evaluated nothing
     (0, 0, 0, ["18 of 48 runs failed"]),
 ])  # fmt: skip
@@ -146,14 +146,14 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
 def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
     search = replace(SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4))
     lines = terminal.search_lines(search)
-    assert "1 skipped), 7 runs to simplify failures and 12,280 decisions." in " ".join(map(str.strip, lines))
+    assert "1 skipped), 7 more to analyse failures and 12,280 decisions took" in " ".join(map(str.strip, lines))
     cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
-    assert "  It ended early, after 48 of 100 runs, because it was interrupted." in terminal.search_lines(cut)
+    assert "  The search ended early, after 48 of 100 runs, because it was interrupted." in terminal.search_lines(cut)
 
 
 @pytest.mark.parametrize("reason", [each for each in Ending if not each.is_complete])
 def test_the_summary_says_why_a_search_ended_early_if_that_is_known(reason):
-    (line,) = [each for each in terminal.search_lines(replace(SEARCH, reason=reason)) if "It ended early" in each]
+    (line,) = [each for each in terminal.search_lines(replace(SEARCH, reason=reason)) if "search ended early" in each]
     assert (", because " in line) == (reason is not Ending.UNKNOWN)
 
 

@@ -106,8 +106,9 @@ def test_a_replay_counts_failures(tmp_path, ads, then, share, expected, failing)
     rewrite(Path(told.path), replace(load(Path(told.path)), rate=FailureRate(failing=then)))
     now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
     assert label(now) == expected
-    bound = "(, so it occurs in at most 26 % of such seeds, with 95 % confidence)?"
-    assert re.fullmatch(rf"fails in {failing} of 10 (seeds|runs){bound}, {then} of 10 when it was found", now.note)
+    bound = r"(, so it occurs in at most 31 % of such seeds \(95 % confidence\))?"
+    before = rf"failed (with|in) {then} of 10 (seeds|runs) when it was found"
+    assert re.fullmatch(rf"{before}, and now fails (with|in) {failing} of 10 (seeds|runs){bound}", now.note)
     assert now.verdict.failed == (expected == "still failing")
 
 

@@ -12,7 +12,7 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.algorithms.evaluation import Evaluation
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import signature_of_failure
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -93,8 +93,8 @@ def test_runs_are_counted_by_how_they_failed(kind, responsible, failure):
     crash = trace_of(vehicle(0, ticks=9), vehicle(0, ticks=9), outcome=Outcome.COLLISION)
     verdict = Verdict(kind=kind, failure=Failure(kind=failure))
     harness = SimpleNamespace(run_of=partial(blamed_on, responsible), judge=lambda run: verdict)
-    known = {of_failure(blamed_on(responsible, crash), verdict.failure)}
-    counts = Counts.of(Examiner(harness=harness, fitness=lambda run: 0.0, seed=1)(crash, known))
+    known = {signature_of_failure(blamed_on(responsible, crash), verdict.failure)}
+    counts = Counts.from_result(Examiner(harness=harness, fitness=lambda run: 0.0, seed=1)(crash, known))
     is_failure = kind in ("failed", "common")
     how = "ego" if responsible == "ego" else "check" if failure == "CheckFailed" else "otherwise"
     assert counts.fails == ({} if kind == "rejected" else {how if is_failure else "": 1})
@@ -109,14 +109,14 @@ def test_counts_of_parts_add_up_to_those_of_the_whole(kinds, cut):
     def counted(results):
         counts = Counts()
         for number, each in results:
-            counts += Counts.of(each, number)
+            counts += Counts.from_result(each, number)
         return counts
 
     def result_of(kind):
         if kind == "lost":
             return lost(crash.scenario, ProcessLostError(crash.scenario, pid=7, how="died"))
-        signature = of_failure(Run(crash), Failure(kind="AssertionError")) if kind == "failed" else None
-        evaluation = Evaluation.of(crash, fitness=0.0, failing=kind == "failed", kind=signature)
+        signature = signature_of_failure(Run(crash), Failure(kind="AssertionError")) if kind == "failed" else None
+        evaluation = Evaluation.from_trace(crash, fitness=0.0, failing=kind == "failed", kind=signature)
         return Result(evaluation=evaluation, kind=kind, ended="collision", responsible="npc", decisions=3)
 
     numbered = [*enumerate(map(result_of, kinds), 1)]

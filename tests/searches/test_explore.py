@@ -19,7 +19,7 @@ from example_ads import constant_speed
 from pytest_pafot.algorithms.evaluation import Evaluated
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import signature_of_failure
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.searches import explore
@@ -179,11 +179,11 @@ def test_search_notes_once_which_traffic_is_missing():
         return pafot.explore(world=world, **fields, **more).summary.notes
 
     assert notes(pafot.World("merge-v0", duration=3.0)) == (
-        "at merge-v0 all NPCs drive along the ego's path: none joins it, so the search shows nothing about such "
+        "at merge-v0, all NPCs drive along the ego's path and none joins it, so the search shows nothing about such "
         "traffic",
     )
     (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # this algorithm needs the grid
-    assert "at intersection-v0 all NPCs drive along the ego's path: none crosses it or joins it, " in note
+    assert "at intersection-v0, all NPCs drive along the ego's path and none crosses it or joins it, " in note
     assert notes(pafot.World("highway-fast-v0", duration=2.0)) == ()
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
 
@@ -197,7 +197,7 @@ def test_search_names_once_the_options_that_have_no_effect():
         return pafot.explore(world=world, ads=ads, **fields, **more).summary.notes
 
     given = {"initial_lane_id": 0, "vehicles_count": 9, "vehicles_density": 2, "lanes_count": 4, "collision_reward": -9}
-    start = "options of config= without effect in a search: "
+    start = "these options of config= have no effect in a search: "
     traffic = "vehicles_count, vehicles_density (NPCs replace the environment's own traffic)"
     assert notes(given) == (f"{start}initial_lane_id (write ego_lane=0); {traffic}",)
     assert notes(given, ego_lane=0) == (f"{start}{traffic}",)
@@ -232,7 +232,7 @@ def burning(monkeypatch):
 
 
 BURNS = (
-    "runs do not call the environment's own `_reward`, which may change `fuel`. If a run needs that, write wrappers=[] "
+    "runs do not call the environment's own `_reward`, which may change `fuel`. If runs need this, write wrappers=[] "
     "in the pafot.World"
 )
 
@@ -310,14 +310,14 @@ def test_a_failing_ads_is_avoided_by_no_takeover():
 
 
 @table(("arguments", "message"), [
-    ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): expected one of .*; did you mean 'generations'"),
+    ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): expected one of .*. Did you mean 'generations'"),
     ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
     ({"generations": 0},
      r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
     ({"generations": "00"},
      r"pafot\.explore\(generations=0\): expected at least 1, because 0 generations test nothing"),
     ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
-    ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected one of any, ego, received 'preventable'\. blame='ego'"),
+    ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected any or ego, received 'preventable'\. blame='ego'"),
     ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway\(\.\.\.\), .*, received 3\. Derive"),
     ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
     ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
@@ -379,7 +379,9 @@ def mistakes_of_one_who_changes_blindly(**settings):
 
 
 def signature_of(scenario):
-    return of_failure(pafot.Run(SHORT_ROAD.rollout(scenario, ChangesLanesBlindly)), Failure(kind="AssertionError"))
+    return signature_of_failure(
+        pafot.Run(SHORT_ROAD.rollout(scenario, ChangesLanesBlindly)), Failure(kind="AssertionError")
+    )
 
 
 def test_each_ego_mistake_is_one_finding_after_shrinking(mistakes):
@@ -409,11 +411,11 @@ def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
 
 def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_path, monkeypatch):
     def refuse(path, finding):
-        raise CorpusWriteError(path, "to save a finding", "a read-only file system", "mount it")
+        raise CorpusWriteError(path, "to save a finding", "a read-only file system", "Mount it")
 
     monkeypatch.setattr("pytest_pafot.searches.store.rewrite", refuse)
     found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)
     (first, *_) = found.sightings
     as_found = load(Path(first.path))
     assert (as_found.shrunk, bool(first.finding.shrunk.before)) == (None, True)
-    assert "mount it" in first.detail
+    assert "Mount it" in first.detail

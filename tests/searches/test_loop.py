@@ -12,7 +12,7 @@ from pytest_pafot.algorithms import SearchSpace, sample
 from pytest_pafot.algorithms.evaluation import Evaluated, Evaluation
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import expectation
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import signature_of_failure
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
@@ -96,8 +96,8 @@ class Bench:
 
     def result(self, scenario, known):
         run, verdict = self.simulate(scenario), self.verdicts(next(self.numbers))
-        kind = of_failure(run, verdict.failure) if verdict.failed else None
-        evaluation = Evaluation.of(
+        kind = signature_of_failure(run, verdict.failure) if verdict.failed else None
+        evaluation = Evaluation.from_trace(
             run.trace, fitness=0.0, failing=verdict.failed, discarded=verdict.discarded, kind=kind
         )
         failed = SimpleNamespace(signature=kind) if kind is not None and kind not in known else None
@@ -173,7 +173,7 @@ def test_each_signature_is_reported_once_with_its_generation():
 
 def test_failure_covered_by_saved_scenario_counts_as_known():
     run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
-    signature = of_failure(run, Failure(kind="AssertionError"))
+    signature = signature_of_failure(run, Failure(kind="AssertionError"))
     found, finds = searched(lambda number: failed(), shown={signature: "saved"})
     assert finds == []
     assert found.covered == {"saved": found.runs}

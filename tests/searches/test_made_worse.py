@@ -52,8 +52,8 @@ def test_policy_that_fails_more_often_is_worse():
     found, told = compared(ALL, NONE)
     assert [find.label for find in told] == ["new"] * len(found.findings) != []
     assert found.summary.paired == Paired(runs=14, only_new=14, most=700)
-    counts = "14 failed only with this policy, and 0 only with the reference"
-    assert found.summary.compared == f"worse than the reference: of 14 random scenarios, {counts}"
+    counts = "14 failed only with this policy, and none only with the reference"
+    assert found.summary.compared == f"this policy is worse than the reference: of 14 random scenarios, {counts}"
 
 
 def test_error_of_the_policy_itself_always_counts():

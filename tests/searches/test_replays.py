@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pytest_pafot.corpus.reader import Saved
-from pytest_pafot.findings.finding import Expect, of_failure
+from pytest_pafot.findings.finding import Expect, signature_of_failure
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -24,7 +24,7 @@ CARS = (vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(26.0, 4.0, speed=10.0, 
 QUIET = Run(trace_of(*CARS))
 CRASH = Run(trace_of(*CARS, outcome=Outcome.COLLISION, collision=collision_at(30)))
 OTHER = Run(trace_of(*CARS, outcome=Outcome.OFF_ROAD))
-HIT, LEFT = of_failure(CRASH, FAILS), of_failure(OTHER, FAILS)
+HIT, LEFT = signature_of_failure(CRASH, FAILS), signature_of_failure(OTHER, FAILS)
 ON = (vehicle(0.0, 4.0, speed=20.0, ticks=35), vehicle(26.0, 4.0, speed=10.0, ticks=35))
 LATER = Run(trace_of(*ON, outcome=Outcome.COLLISION, collision=collision_at(35)))
 OTHER_LATER = Run(trace_of(*ON, outcome=Outcome.OFF_ROAD))
@@ -59,7 +59,7 @@ def harness_of(ends):
 def shown(xfail=None, **ends):
     """Return what saved scenarios with these results show, next to an unreadable file."""
     told = Told(harness=harness_of(ends))
-    expect = Expect.of(CRASH, FAILS)
+    expect = Expect.from_run(CRASH, FAILS)
     files = [
         Saved(
             Path(f"{id_}.pafot.yaml"),

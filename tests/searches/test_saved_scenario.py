@@ -39,7 +39,7 @@ def finding_in(world, failure=None):
     run = pafot.Run(world.rollout(SLOW_LEADER, keeps_its_speed))
     found = Found(seed=0, generation=0, algorithm="random")
     failure = failure or Failure(kind="AssertionError", assertion="assert not run.collision")
-    return Finding.of(run, failure, test="test_it.py::test_it", world=codec.described(world), found=found)
+    return Finding.from_run(run, failure, test="test_it.py::test_it", world=codec.described(world), found=found)
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_unknown_kind_of_world_names_its_line(save):
 def test_scenario_with_a_process_crash_needs_pytest(save):
     finding = finding_in(WORLD)
     saved = save(replace(finding, expect=replace(finding.expect, failure=PROCESS_CRASH)))
-    with pytest.raises(CorpusError, match=r"run `python -m pytest .*yaml`"):
+    with pytest.raises(CorpusError, match=r"Run `python -m pytest .*yaml`"):
         saved.replay(keeps_its_speed)
 
 

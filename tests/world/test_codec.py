@@ -15,7 +15,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TRUCK, VAN, VehicleType
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
-from pytest_pafot.world.codec import cuts, elsewhere, of_file
+from pytest_pafot.world.codec import describe_limits, describe_world_change, world_of_file
 from tests.helpers.tables import table
 
 limits = st.builds(
@@ -124,7 +124,7 @@ def test_tuples_and_arrays_become_lists_with_equal_meaning():
     ({"kind": "highway", "ego": {"name": "slow", "length": 9, "width": 2, "braking": 5}},
      "ego: expected a vehicle that can brake at 6"),
     ({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]}, "world.wrappers: expected no "
-     "wrappers, because a file cannot contain code, received ['FlattenObservation']; use pafot.World(..., wrappers="
+     "wrappers, because a file cannot contain code, received ['FlattenObservation']. Use pafot.World(..., wrappers="
      "[...]) in the test, or --world module:factory"),
     ({"kind": "highway", "lane": 3}, "world (kind highway): expected no fields other than ads_hz, clearance, durat"),
     ({"kind": "highway", "lanes": 9}, "lanes: expected a whole number from 3 to 6, received 9"),
@@ -172,19 +172,19 @@ SIX_GENES = Scenario(npcs=((PositionInstruction(1, 20.0),) * 6,))
 def test_file_cannot_exceed_time_limits_of_the_test():
     data = Highway(duration=60.0, hang_limit=86400.0).to_dict()
     own = Highway(duration=20.0, hang_limit=5.0)
-    assert of_file(data, SIX_GENES, own) == Highway(duration=20.0, hang_limit=5.0)
-    assert cuts(data, SIX_GENES, own) == ["world.duration is 60.0 in the file, 20.0 now"]
-    assert of_file(data, SIX_GENES).hang_limit == 600.0
+    assert world_of_file(data, SIX_GENES, own) == Highway(duration=20.0, hang_limit=5.0)
+    assert describe_limits(data, SIX_GENES, own) == ["world.duration is 60.0 in the file, 20.0 now"]
+    assert world_of_file(data, SIX_GENES).hang_limit == 600.0
     fast = Highway(duration=60.0, physics_hz=1000).to_dict()
-    assert of_file(fast, SIX_GENES, own).duration == pytest.approx(20 * 15 / 1000)
+    assert world_of_file(fast, SIX_GENES, own).duration == pytest.approx(20 * 15 / 1000)
 
 
 def test_file_within_limits_of_the_test_is_unchanged():
     short = Scenario(npcs=((PositionInstruction(1, 20.0),) * 2,))
     data = Highway(duration=60.0, hang_limit=5.0).to_dict()
     for own in (Highway(duration=20.0), Highway(duration=60.0, hang_limit=5.0), Highway(duration=3600.0)):
-        assert of_file(data, short, own) == Highway(duration=60.0, hang_limit=5.0)
-        assert cuts(data, short, own) == []
+        assert world_of_file(data, short, own) == Highway(duration=60.0, hang_limit=5.0)
+        assert describe_limits(data, short, own) == []
 
 
 @table(
@@ -192,7 +192,7 @@ def test_file_within_limits_of_the_test_is_unchanged():
 )
 def test_gym_world_is_cut_before_environment_is_made(config):
     data = {"kind": "gym", "env_id": "highway-v0", "config": config, "duration": None}
-    world = of_file(data, SIX_GENES, Highway(duration=20.0))
+    world = world_of_file(data, SIX_GENES, Highway(duration=20.0))
     assert world.duration == pytest.approx(20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9)
     assert "environment" not in vars(world)
 
@@ -201,6 +201,8 @@ def test_duration_that_the_road_cuts_is_no_change():
     own = World("intersection-v0", planner_hz=5, config={"destination": "o1", "duration": 20})
     data = own.to_dict()
     assert (data["duration"], own.longest_run < 20.0) == (20.0, True)
-    assert cuts(data, SIX_GENES, own) == []
-    assert elsewhere(data, SIX_GENES, own) == []
-    assert cuts({**data, "duration": 25.0}, SIX_GENES, own) == ["world.duration is 25.0 in the file, 20.0 now"]
+    assert describe_limits(data, SIX_GENES, own) == []
+    assert describe_world_change(data, SIX_GENES, own) == []
+    assert describe_limits({**data, "duration": 25.0}, SIX_GENES, own) == [
+        "world.duration is 25.0 in the file, 20.0 now"
+    ]

@@ -31,10 +31,10 @@ def hold(*cells, speed=20.0, **fields):
     ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
     ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
     ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
-    ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs can reach 1.1 times it, and"),
+    ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs can drive 1.1 times the limit"),
     ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
     ({"physics_hz": 1000, "ads_hz": 600},
-     "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000"),
+     "Use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000"),
     ({"physics_hz": 127, "ads_hz": 1, "duration": 3600}, "duration: expected at most 3149 s at 127 ticks per second"),
     ({"physics_hz": 1000, "duration": 3600}, "duration: expected at most 400 s at 1000 ticks per second, received 36"),
     ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
@@ -51,9 +51,9 @@ def test_wrong_highway_option_is_named_with_its_bounds(options, message):
 
 @table(("physics_hz", "ads_hz", "message"), [
     (20, 15, "ads_hz: expected a divisor of physics_hz (20), so that every decision lasts a whole number of ticks, "
-             "received 15; use one of 1, 2, 4, 5, 10, 20, or set physics_hz to 30"),
-    (15, 30, "received 30; use one of 1, 3, 5, 15, or set physics_hz to 30"),
-    (7, 2, "received 2; use one of 1, 7, or set physics_hz to 8"),
+             "received 15. Use one of 1, 2, 4, 5, 10, 20, or set physics_hz to 30"),
+    (15, 30, "received 30. Use one of 1, 3, 5, 15, or set physics_hz to 30"),
+    (7, 2, "received 2. Use one of 1, 7, or set physics_hz to 8"),
 ])  # fmt: skip
 def test_frequencies_that_do_not_divide_are_refused(physics_hz, ads_hz, message):
     with raises(message):
@@ -80,7 +80,7 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
         "limits.overspeed: expected a number from 1 to 8, so that NPCs can reach target speeds up to the speed limit"
     ):
         NpcLimits(overspeed=0.9)
-    with raises("speed_limit: expected at most 20.0 m/s, because NPCs can reach 2 times it, and highway-env's"):
+    with raises("speed_limit: expected at most 20.0 m/s, because NPCs can drive 2 times the limit, and highway-env's"):
         Highway(limits=NpcLimits(overspeed=2))
 
 
@@ -116,7 +116,7 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
      "config.observation.weights: expected one number for each colour, so that "),
     ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [2000, 2000],
                                     "stack_size": 100, "weights": [0.2, 0.6, 0.2]}},
-     "config.observation: expected at most 10,000,000 numbers, received about 400,000,000; use fewer features, "),
+     "config.observation: expected at most 10,000,000 numbers, received about 400,000,000. Use fewer features, "),
     ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [500, 500, 500],
                                     "stack_size": 1, "weights": [0.2, 0.6, 0.2]}},
      "config.observation.observation_shape: expected at most 2 entries, so that "),
@@ -151,7 +151,7 @@ def test_large_or_unused_options_that_cost_no_time_are_accepted(config):
 
 @table("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
 def test_environment_id_with_module_is_refused_before_import(env_id):
-    with raises(f"received {env_id!r}; first import the module that registers the environment"):
+    with raises(f"received {env_id!r}. First import the module that registers the environment"):
         World(env_id)
 
 
@@ -171,9 +171,7 @@ def test_every_highway_env_environment_runs_or_says_why(env_id):
         with raises("config.controlled_vehicles: expected 1, the ego, received 2"):
             world.check()
     elif env_id.startswith("parking"):
-        with raises(
-            f"{env_id}: expected an ego that starts in a lane and in the direction of that lane, because the grid"
-        ):
+        with raises(f"{env_id}: expected an ego that starts in a lane and faces along it, because the grid"):
             world.check()
     else:
         world.check()
@@ -190,7 +188,7 @@ def test_environment_does_not_change_highway_env_vehicle_classes():
 
 
 def test_environment_of_another_library_is_refused():
-    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv); write a pafot.Simulator"):
+    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv). Write a pafot.Simulator"):
         World("CartPole-v1").check()
 
 
@@ -203,23 +201,23 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     with pytest.raises(WorldError) as caught:
         World(env_id).check()
     message = str(caught.value)
-    roads = "highway-env's straight roads are highway-fast-v0 and highway-v0. For your own"
-    assert f"received {env_id!r}; " in message
+    roads = "highway-env's straight roads are in highway-fast-v0 and highway-v0. To use your own"
+    assert f"received {env_id!r}. " in message
     assert roads in message
     assert (
-        'write a pafot.Simulator for it, to use in a pafot.SimulatorWorld (see the page "A simulator of your own")'
+        'write a pafot.Simulator, and use it in a pafot.SimulatorWorld (see the page "A simulator of your own")'
         in message
     )
-    assert meant is ... or ("did you mean" in message) == (meant is not None)
-    assert not isinstance(meant, str) or f"did you mean {meant!r}?" in message
+    assert meant is ... or ("Did you mean" in message) == (meant is not None)
+    assert not isinstance(meant, str) or f"Did you mean {meant!r}?" in message
 
 
 @table(("config", "message"), [
     ([], "config: expected a dict of the environment's options, received []"),
-    ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
-    ({"zebra": 3}, "config: expected options of highway-v0, received zebra; the options are action, centering_p"),
+    ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count. Did you mean 'lanes_count'?"),
+    ({"zebra": 3}, "config: expected options of highway-v0, received zebra. The options are action, centering_p"),
     ({1: 2}, "config: expected strings as keys, received 1"),
-    ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected JSON-compatible data (n"),
+    ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected JSON-compatible data, received"),
     ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
     ({"action": {}}, "raised KeyError: 'type'"),
     ({"lanes_count": 0}, "config: expected a configuration that the environment highway-v0 accepts, received"),
@@ -231,17 +229,17 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
     ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
     ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
-     "config.observation: expected options of highway-env, received vehicle_count; did you mean 'v"),
-    ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
+     "config.observation: expected options of highway-env, received vehicle_count. Did you mean 'v"),
+    ({"observation": {"type": "Kinematics", "normalise": False}}, "Did you mean 'normalize'?"),
     ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
-     "config.observation.observation_config: expected options of highway-env, received oder; did you"),
+     "config.observation.observation_config: expected options of highway-env, received oder. Did you"),
     ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
-     "config.observation.observation_configs[0]: expected options of highway-env, received clips; did you"),
-    ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra; the options are absolute, align_to"),
+     "config.observation.observation_configs[0]: expected options of highway-env, received clips. Did you"),
+    ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra. The options are absolute, align_to"),
     ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
-     "config.action: expected options of highway-env, received target_speed; did you mean 'target_speeds'?"),
+     "config.action: expected options of highway-env, received target_speed. Did you mean 'target_speeds'?"),
     ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
-     "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
+     "config.action.action_config: expected options of highway-env, received laterl. Did you mean 'l"),
 ])  # fmt: skip
 def test_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
@@ -294,10 +292,10 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
 
 @table(("scenario", "message"), [
     (None, "scenario: expected a Scenario, received None"),
-    (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
+    (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4. The road has 4 lanes"),
     (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one for each cell around lane 0"),
     (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
-    (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
+    (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15. The"),
     (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
 ])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])

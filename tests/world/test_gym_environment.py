@@ -300,7 +300,7 @@ REGISTERED = {
 @pytest.mark.parametrize("how", REGISTERED)
 def test_registered_wrapper_is_refused_with_the_way_out(how, register):
     register("mine-v0", **REGISTERED[how])
-    message = r"which is registered with these wrappers: FlattenObservation; .*World\('mine-v0', wrappers=\[\]\)"
+    message = r"which is registered with these wrappers: FlattenObservation. .*World\('mine-v0', wrappers=\[\]\)"
     with pytest.raises(WorldError, match=message):
         World("mine-v0").check()
 
@@ -391,7 +391,7 @@ def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, 
             self.shield = keeper(self.vehicle)
 
     register("mine-v0", entry_point=Keeping)
-    with pytest.raises(WorldError, match="received Keeping, whose `shield` keeps the ego of its reset"):
+    with pytest.raises(WorldError, match="received Keeping, whose `shield` still has the ego of the last reset"):
         World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
     assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
 
@@ -519,7 +519,7 @@ class Depot(HighwayEnv):
 
 def test_ego_whose_class_needs_more_arguments_is_refused(register):
     register("mine-v0", entry_point=Depot)
-    with pytest.raises(WorldError, match=r"Weighed\(road, .*'mass'\); give the other parameters default values"):
+    with pytest.raises(WorldError, match=r"Weighed\(road, .*'mass'\). Give the other parameters default values"):
         World("mine-v0").rollout(SCENARIO, lambda: lambda seen: 1)
 
 
@@ -638,7 +638,7 @@ class Swapping(HighwayEnv):
     (Pushing, "whose `step` moves NPC 0 from (2*.*, 4.0) m at 3.0 s"),
     (Choosing, "whose `reset` removes 2 vehicles at 0.0 s"),
     (Crowding, "whose `reset` adds 1 vehicle at 0.0 s"),
-    (Swapping, "whose `reset` makes another ego at 0.0 s"),
+    (Swapping, "whose `reset` replaces the ego at 0.0 s"),
     (Sorting, ""),
 ])  # fmt: skip
 def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received, wrappers, register):
@@ -651,7 +651,7 @@ def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received
     with pytest.raises(WorldError) as refused:
         world.rollout(scenario, IDLE)
     assert fnmatch(
-        str(refused.value), f"*received {cls.__name__}*, {received}; create other vehicles only in `_reset`, *"
+        str(refused.value), f"*received {cls.__name__}*, {received}. If the environment has other vehicles, create *"
     )
 
 
@@ -926,9 +926,9 @@ class Marking(Falling):
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
 @pytest.mark.parametrize(("cls", "received"), [
-    (Falling, "with more objects at 4.0 s, at (500.0, 0.0) m"),
-    (Rolling, "with other objects at 4.0 s, at (300.0, 4.0) m"),
-    (Strewing, "with other objects at 0.0 s, at (4"),
+    (Falling, "with an additional object at (500.0, 0.0) m at 4.0 s"),
+    (Rolling, "with a changed object at (300.0, 4.0) m at 4.0 s"),
+    (Strewing, "with a changed object at (4"),
     (Marking, ""),
 ])  # fmt: skip
 def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
@@ -959,7 +959,7 @@ def test_ego_does_not_start_at_an_obstacle(register):
         "for 2 s at 22 m/s from the ego's start at (200, 4) m, received lane 1, which has an object at (202.5, 4.0) m"
     )
     blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
-    with pytest.raises(ScenarioError, match=re.escape(f"{ahead}; write ego_lane=0")):
+    with pytest.raises(ScenarioError, match=re.escape(f"{ahead}. Write ego_lane=0")):
         world.rollout(blocked, IDLE)
     with pytest.raises(ScenarioError, match=re.escape("received lane 2, which has an object at (244.0, 8.0) m")):
         world.rollout(replace(blocked, ego_lane=2), IDLE)
@@ -976,7 +976,7 @@ def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
     register("mine-v0", entry_point=Roadworks)
     run = Run(World("mine-v0", duration=12.0).rollout(Scenario(npcs=AT_ONCE, ego_lane=1), IDLE))
     failure = Failure(kind="AssertionError", message="assert not run.collision", assertion="not run.collision")
-    expect = Expect.of(run, failure)
+    expect = Expect.from_run(run, failure)
     assert (expect.outcome, expect.npc, expect.cell, expect.side) == ("collision", None, None, "front")
     assert expect.brief == "The ego hit a fixed object after 4.8 s, closing at 20.0 m/s"
     assert is_same_event(expect, run, failure)
@@ -1019,7 +1019,7 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
 @table(("env_id", "config", "names"), [
     ("highway-v0", {"initial_lane_id": 0, "vehicles_density": 2, "offroad_terminal": True, "lanes_count": 3},
      {"write ego_lane=0": ["initial_lane_id"], TRAFFIC_TOLD: ["vehicles_density"]}),
-    ("highway-v0", {"ego_spacing": 3}, {"headway= of the world sets the gaps at the start": ["ego_spacing"]}),
+    ("highway-v0", {"ego_spacing": 3}, {"the world's headway= sets the gaps at the start": ["ego_spacing"]}),
     ("highway-v0", {"initial_lane_id": None, "offroad_terminal": False, "collision_reward": -9}, {}),
     ("intersection-v0", {"spawn_probability": 0, "initial_vehicle_count": 3},
      {TRAFFIC_TOLD: ["spawn_probability", "initial_vehicle_count"]}),
@@ -1033,7 +1033,7 @@ def test_option_that_something_replaces_is_named_with_what_does(env_id, config, 
 
 def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
     world = World("highway-v0", config={"offroad_terminal": True}, ends="duration")
-    told = "runs on a straight road continue, and run.off_road reports that the ego left it"
+    told = "runs continue after the ego leaves a straight road, which run.off_road reports"
     assert world.options_without_effect(drives_itself=False) == {told: ["offroad_terminal"]}
 
 
@@ -1050,7 +1050,7 @@ def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(kind
 
 
 class Refusing(HighwayEnv):
-    """An environment that cannot be reset; it counts the attempts."""
+    """An environment that cannot be reset. It counts the attempts."""
 
     attempts = 0
 
@@ -1062,10 +1062,10 @@ class Refusing(HighwayEnv):
 def test_environment_that_cannot_be_reset_is_not_blamed_on_a_configuration_that_nobody_gave(register, monkeypatch):
     monkeypatch.setattr(Refusing, "attempts", 0)
     register("mine-v0", entry_point=Refusing)
-    with pytest.raises(WorldError, match=r"env_id: expected an environment that .* received 'mine-v0'; .*no map"):
+    with pytest.raises(WorldError, match=r"env_id: expected an environment that .* received 'mine-v0'. .*no map"):
         World("mine-v0").check()
     assert Refusing.attempts == 2
-    given = r"config: expected a configuration that .* received \{'duration': 9\}; .*no map"
+    given = r"config: expected a configuration that .* received \{'duration': 9\}. .*no map"
     with pytest.raises(WorldError, match=given):
         World("mine-v0", config={"duration": 9}).check()
     monkeypatch.setattr(Refusing, "attempts", 0)
@@ -1103,7 +1103,7 @@ def test_a_planner_inside_of_the_environment_is_refused():
     ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
     ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
     ([partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))],
-     r"wrappers: .* received MultiBinary\(2\) in TransformAction; make the action_space"),
+     r"wrappers: .* received MultiBinary\(2\) from TransformAction. Make the wrappers' action_space"),
 ])  # fmt: skip
 def test_what_is_no_wrapper_is_told(wrappers, message):
     with pytest.raises(WorldError, match=message):
@@ -1134,7 +1134,7 @@ def test_wrapper_that_does_not_step_is_reported():
     trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
     assert (trace.duration, trace.ended) == (2.0, "max_episode_steps=2")
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
-    with pytest.raises(WorldError, match=r"a step at 2.0 s that did not; remove wrappers .* reset episodes"):
+    with pytest.raises(WorldError, match=r"a step at 2.0 s that did not. Remove wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
 
 

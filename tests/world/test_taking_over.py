@@ -93,7 +93,7 @@ def test_new_driver_wants_ego_speed_from_before_braking():
     (10, "me", HIGHWAY, "expected careful-human, received 'me'"),
     (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, from 0 to .*, received -1"),
     (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, from 0 to .*, received 1000000"),
-    (10, "careful-human", Highway(physics_hz=30), "trace: expected a run in this world, with 30 .* received a run w"),
+    (10, "careful-human", Highway(physics_hz=30), "trace: expected a run with 30 ticks .* received a run w"),
 ])  # fmt: skip
 def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
     trace = HIGHWAY.rollout(BRAKES, weaving)

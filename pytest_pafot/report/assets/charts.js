@@ -5,7 +5,7 @@ const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 const CURVES = [
   { key: "gap", title: "gap to the ego", unit: "m", top: 40, remark: ", up to 40" },
   { key: "ttc", title: "time to contact", unit: "s", top: 8, remark: ", up to 8; no curve without a collision course" },
-  { key: "advantage", title: "expected time between the two in the conflict zone", unit: "s", top: 4 },
+  { key: "advantage", title: "expected time between NPC and ego in the conflict zone", unit: "s", top: 4 },
   { key: "speed", title: "speed", unit: "m/s" },
   { key: "acceleration", title: "acceleration", unit: "m/s^2", least: 4 },
 ];

@@ -34,7 +34,7 @@ from pytest_pafot.searches.refine.simplest import check_limits
 from pytest_pafot.searches.results import State
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
-from pytest_pafot.world.driving.conditions import Conditions, Parted, differing_numbers, parting, shown
+from pytest_pafot.world.driving.conditions import Conditions, Parted, differing_numbers, group_conditions, parting
 from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
@@ -59,7 +59,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 
 
 def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Add to a finding the last decision that could have avoided the failure."""
+    """Return a finding with the last decision that could have avoided the failure."""
     harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
     # Nothing can be hidden from a vehicle class, which reads the road itself, or from a policy with the environment.
     if run is None or not harness.policy.only_observes:
@@ -87,7 +87,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 
 
 def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
-    """Add to a finding the conditions that the policy's code evaluates in the decision of its ``moment``."""
+    """Return a finding with the conditions that the policy's code evaluates in the decision of its ``moment``."""
     harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
@@ -122,7 +122,7 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
         if not first and (asked := (yield from ask(each_question))) is not None:
             is_other = differ(trace.actions[number], asked.action_at(each_question.number))
             first = parting(aside.conditions, asked.conditions, when, is_other=is_other, npc=elsewhere, whom=whom or {})
-    groups = shown(aside.conditions, first, npc=npc, whom=whom)
+    groups = group_conditions(aside.conditions, first, npc=npc, whom=whom)
     return replace(sighting, moment=replace(moment, conditions=groups))
 
 
@@ -273,7 +273,7 @@ def _changes(seen: Observation, npc: int) -> list[Change]:
             found.append((size, f"{size:g} m nearer", (-away * size, 0.0, 0.0)))
     for size in (0.25, 0.5, 1.0, 2.0, 4.0):
         found.append((4 * size, f"{size:g} m further to the side", (0.0, outwards * size, 0.0)))
-        found.append((4 * size, f"{size:g} m less to the side", (0.0, -outwards * size, 0.0)))
+        found.append((4 * size, f"{size:g} m less far to the side", (0.0, -outwards * size, 0.0)))
     for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
         found.append((2 * size, f"{size:g} m/s faster", (0.0, 0.0, size)))
         if size <= other.speed:

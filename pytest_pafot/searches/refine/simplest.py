@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import RUNS, FailureRate, of_failure, with_other_seed
+from pytest_pafot.findings.finding import RUNS, FailureRate, signature_of_failure, with_other_seed
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure, Signature, Verdict, severity_of
@@ -145,7 +145,7 @@ class Turn:
             raise OutOfBudget
 
     def took(self, seconds: float, confirming: float | None) -> None:
-        """Record the duration [s] of an attempt and, if it succeeded, of confirming it."""
+        """Record how long [s] an attempt took, including its confirmation if it succeeded."""
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -272,7 +272,9 @@ def _likely(
         if trace.collision is None:
             return False
         run = harness.run_of(trace)
-        return is_same(bench.examiner.beside_accepted(of_failure(run, failure), severity_of(run, failure)), found)
+        return is_same(
+            bench.examiner.beside_accepted(signature_of_failure(run, failure), severity_of(run, failure)), found
+        )
 
     return likely
 

@@ -28,7 +28,7 @@ from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 # The number of decisions that work on findings can always request, even after a short search.
 LEAST_DECISIONS = 2000
 
-# The fraction of these decisions that shrinking can use. The remaining ones are for the examination of findings.
+# The fraction of these decisions that shrinking can use. The rest are for the examination of findings.
 FOR_SHRINKING = 0.75
 
 # The steps that examine the simplest scenario of a finding, by their subject. If a step runs out of time or raises an
@@ -80,7 +80,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
         if is_done:
             done.add(id_)
         else:
-            sighting, why = store.findings[id_], "its limit was reached" if bench.is_at_limit else "the time ran out"
+            sighting, why = store.findings[id_], "the limit was reached" if bench.is_at_limit else "the time ran out"
             cut = f"it was {'not' if sighting.finding.shrunk is None else 'only partly'} simplified, because {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
@@ -178,7 +178,7 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     before, shrunk = replace(sighting.finding, rate=simplest.rate), simplest.shrunk
     if scenario != before.scenario:
         shrunk = replace(shrunk, before=described(before.scenario, before.longest_run))
-    yield Phase(f"a careful driver takes over in saved-{sighting.id}", sighting.id)
+    yield Phase(f"replaying saved-{sighting.id} with a careful driver", sighting.id)
     takeover = None
     try:
         takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
@@ -188,7 +188,7 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     finding = replace(
         before,
         scenario=scenario,
-        expect=Expect.of(
+        expect=Expect.from_run(
             run, verdict.failure, takeover=takeover, against=before.expect.against, root=str(harness.root)
         ),
         shrunk=shrunk if shrunk.rollouts else None,

@@ -28,7 +28,7 @@ PARTING = 3  # the largest number of rows for conditions that another decision e
 
 FIRST = 500  # the largest number of evaluations per condition that are compared with another decision
 
-# the largest number of characters of a row; the text of a longer condition, which no person wrote, is omitted
+# the largest number of characters in a row; a longer row omits the condition's text, which no person wrote
 LONGEST = 1000
 
 LOOKED_AT = 50  # the largest number of elements of a value that are compared with those in another decision
@@ -36,7 +36,7 @@ LOOKED_AT = 50  # the largest number of elements of a value that are compared wi
 # a constant in the copied code that is replaced by the recorder, so the code needs no name for it
 _RECORDER = "pytest-pafot: the recorder of conditions"
 
-# the nodes that have conditions, and the names of their fields
+# the nodes that have conditions, and the names of the fields that contain them
 _TESTS = {ast.If: "test", ast.While: "test", ast.IfExp: "test", ast.comprehension: "ifs", ast.match_case: "guard"}
 
 # parts of a condition that have names or conditions of their own
@@ -72,7 +72,7 @@ class Evaluated:
         ]
         values = f"  ({', '.join(told)})" if told else ""
         row = f"{self.condition}{values} -> {evaluation.outcome}"
-        return row if len(row) <= LONGEST else f"{place}: {len(text)} characters -> {evaluation.outcome}"
+        return row if len(row) <= LONGEST else f"{place}: condition of {len(text)} characters -> {evaluation.outcome}"
 
 
 def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
@@ -102,7 +102,7 @@ class Parted(NamedTuple):
 
     evaluation: Evaluation
     ending: str  # added to its row
-    whom: tuple[int, ...]  # the NPC with another position, on which the outcome depends, even if no value shows this
+    whom: tuple[int, ...]  # the moved NPC, on which the outcome depends, even if no value shows this
 
 
 def parting(
@@ -118,7 +118,7 @@ def parting(
 
     Args:
         evaluated, others: the conditions of both decisions, with the last condition first.
-        when: a phrase that describes the difference of the other decision.
+        when: a phrase that describes how the other decision differs.
         is_other: whether the other decision has a different action.
         npc: the NPC with a different position in the other decision, or None.
         whom: the NPCs on which the evaluations depend.
@@ -134,7 +134,7 @@ def parting(
             ending = f"also {when}" if is_same else f"{when} {there.outcome}"
             found.append((here.number, each.condition, Parted(here, f"; {ending}", () if npc is None else (npc,))))
             break
-    # With another action, the first difference is the cause of the later ones.
+    # If the action differs, the first difference causes the later differences.
     ordered = sorted(found, reverse=not is_other)[:PARTING]
     return {condition: row for _, condition, row in ordered}
 
@@ -142,10 +142,10 @@ def parting(
 # the subject of rows with values that depend on no NPC; their outcomes may still follow from conditions on an NPC
 NOBODY = "no NPC or an unknown NPC"
 Groups = tuple[tuple[str, tuple[str, ...]], ...]
-"""Rows of conditions by subject. The subject is ``NPC 1``, for example, :data:`NOBODY`, or an empty string for all."""
+"""Rows of conditions by subject. The subject is a name such as ``NPC 1``, :data:`NOBODY`, or empty for all rows."""
 
 
-def shown(
+def group_conditions(
     evaluated: Iterable[Evaluated],
     first: Mapping[str, Parted] = MappingProxyType({}),
     *,
@@ -216,7 +216,7 @@ class Conditions:
         """Record the conditions that this thread evaluates while an ADS decides.
 
         The conditions are appended to ``evaluated``, with the last condition first. A running generator keeps its old
-        code, so its conditions are not recorded.
+        code, so nothing is recorded for an ADS that has one.
         """
         before: list[tuple[FunctionType, CodeType]] = []
         try:
@@ -286,7 +286,7 @@ class _Marking(ast.NodeTransformer):
             return node
         name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
         value = _Values(self, name).visit(node)
-        if is_test:  # Its truth is evaluated only once, because that may run the user's code.
+        if is_test:  # Its truth is evaluated only once, because its evaluation may run the user's code.
             value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
         return _called("end", node, name, _called("begin", node), value)
 

@@ -1,7 +1,7 @@
 """Drivers that use the actions, observations or vehicle classes of an environment.
 
-Compiled code creates the Kinematics observation, identical to highway-env's to the last bit. highway-env's own function
-takes milliseconds, which is longer than the rest of a run. highway-env creates all other observations.
+Compiled code creates the Kinematics observation, which is identical to highway-env's to the last bit. highway-env's own
+function takes milliseconds, longer than the rest of a run. highway-env creates all other observations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gymnasium import spaces
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
-from pytest_pafot.support.text import shown
+from pytest_pafot.support.text import safe_repr
 from pytest_pafot.world.driving.policy import Unseeing
 from pytest_pafot.world.driving.vehicles import (
     CompiledRoad,
@@ -51,8 +51,8 @@ def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
         return
     expected, received = "a discrete or continuous action space for one vehicle", str(space)
     if wrappers:
-        received = f"{received} in {', '.join(wrappers)}"
-        fix = "make the action_space of the wrappers a Discrete or a Box"
+        received = f"{received} from {', '.join(wrappers)}"
+        fix = "make the wrappers' action_space a Discrete or a Box"
         raise WorldError(field="wrappers", expected=expected, received=received, fix=fix)
     fix = "use an action type for one vehicle, for example DiscreteMetaAction"
     raise WorldError(field="config.action", expected=expected, received=received, fix=fix)
@@ -83,7 +83,7 @@ def checked_action(action: Any, space: Any) -> Any:
 
 def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
     hint = hint_at(action) or hint
-    return BadAction(f"{expected}, received {shown(action)}{f'; {hint}' if hint else ''}")
+    return BadAction(f"{expected}, received {safe_repr(action)}{f'; {hint}' if hint else ''}")
 
 
 def _hint_at_choice(array: Any, space: Any) -> str:
@@ -147,7 +147,7 @@ class View:
         env.observation_space.seed(tick)
 
 
-# the members of each class that highway-env's observations use, but that the compiled code does not
+# the members of each class that highway-env's observations use, and the compiled code does not
 _REPLACED = {
     Road: ("close_objects_to", "close_vehicles_to"),
     RoadObject: ("to_dict",),
@@ -156,7 +156,7 @@ _REPLACED = {
     ),
 }  # fmt: skip
 
-# the observation classes of highway-env that are computed only from a road's vehicles
+# highway-env's classes of observations that depend only on the vehicles on the road
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
 
 
@@ -213,7 +213,7 @@ def _is_fit(stock: Any) -> bool:
 class FastTable:
     """A faster function for the Kinematics observation, including the variant with the distance to an exit.
 
-    It calls highway-env's own function if the class of the road or of a vehicle overrides a member that matters.
+    It calls highway-env's own function if the class of the road or of a vehicle overrides a member that matters here.
     """
 
     def __init__(self, env: Any, stock: Any, network: Network) -> None:
@@ -295,14 +295,14 @@ class GuardedDriver(EgoDriver):
         return None
 
     def make_decision(self, tick: int) -> Any:
-        """Make a decision, and return the action for the record, or None."""
+        """Make a decision, and return the action to record, or None."""
         raise NotImplementedError
 
 
 class ObjectDriver(GuardedDriver):
     """The driver of an ego that is moved by the code of a highway-env vehicle class.
 
-    By default, the class also makes a decision at every tick. Call :meth:`show` before the run starts.
+    By default, the class makes a decision at every tick. Call :meth:`show` before the run starts.
     """
 
     def __init__(
@@ -330,7 +330,7 @@ class ObjectDriver(GuardedDriver):
             foresee(self.traffic.vehicles, places, road)
 
     def show_all(self, *, is_lean: bool = False) -> None:
-        """Update highway-env's vehicles, except the ego, which moves itself, to the state of the run."""
+        """Update all highway-env vehicles except the ego, which moves itself, to the state of the run."""
         if self.traffic is not None:
             self.traffic.show(is_lean=is_lean)
 
@@ -404,13 +404,13 @@ class PolicyDriver(ObjectDriver):
         return self._observe()
 
     def _applied(self, action: Any) -> Any:
-        """Check an action, apply it, and return it for the record."""
+        """Check and apply an action, and return it to be recorded."""
         checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)
         return checked
 
     def actuate(self) -> None:
-        self.traffic.show()  # the control of the vehicle's class may look at the NPCs
+        self.traffic.show()  # the controller of the vehicle's class may look at the NPCs
         self.vehicle.act()
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import AdsFactoryError, WorldError, refused_policy
-from pytest_pafot.support.text import shown
+from pytest_pafot.support.text import safe_repr
 from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.guard.hang_guard import Around, one_process, unending
 from pytest_pafot.world.kernel.observation import Observation, Observer, Sensor
@@ -51,8 +51,8 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     if not callable(factory):
         hint = hint_at_object(factory) or "Return a factory from the fixture, for example `return lambda: MyPlanner()`"
         raise AdsFactoryError(
-            "ads: expected a factory (a callable that returns a new ADS for each scenario), received "
-            f"{shown(factory)}. {hint}"
+            "ads: expected a factory, a callable that returns a new ADS for each scenario, received "
+            f"{safe_repr(factory)}. {hint}"
         )
     _check_call(factory, arguments)
     try:
@@ -80,12 +80,12 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         "A factory returns an ADS, not an action. Write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
     )
     raise AdsFactoryError(
-        "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
-        f"class, received {shown(ads)}. {'Is a `return` missing in it?' if ads is None else hint}"
+        "ads: expected the factory to return a callable `observation -> action` or a highway-env vehicle class, "
+        f"received {safe_repr(ads)}. {'Is a `return` missing?' if ads is None else hint}"
     )
 
 
-@functools.lru_cache(maxsize=1)  # a run of the kernel takes little longer than the signature of its vehicle class
+@functools.lru_cache(maxsize=1)  # a run in the kernel takes little longer than reading a signature
 def _checked_vehicle_class(vehicle_class: Any) -> Any:
     signature = inspect.signature(vehicle_class)
     try:
@@ -101,11 +101,11 @@ def _checked_vehicle_class(vehicle_class: Any) -> Any:
 
 
 def _check_sight_is_told(factory: AdsFactory, sight: Sight) -> None:
-    # Code that only sees the factory, for example to save a finding, would assume perfect perception.
+    # Code that sees only the factory, for example to save a finding, would assume perfect perception.
     seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == sight)
     if getattr(seeing, "sight", None) != sight:
         raise AdsFactoryError(
-            f"ads: expected a pafot.Perception as the factory itself, received {shown(factory)}, "
+            f"ads: expected a pafot.Perception as the factory itself, received {safe_repr(factory)}, "
             f"which uses a pafot.Perception inside. Findings would not record the imperfect perception. Write "
             "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return this object from the fixture"
         )
@@ -145,12 +145,12 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         given = "with env=<environment>" if arguments else "without arguments"
         inner = inspect.unwrap(factory)
         if isinstance(inner, type):
-            hint = f"Pass the arguments in a function, `lambda: {inner.__name__}(...)`"
+            hint = f"Wrap the call in a function that passes the arguments, such as `lambda: {inner.__name__}(...)`"
         elif getattr(inner, "__name__", "") == "predict":
             hint = f"For a model, write {PREDICTING}"
         elif inspect.isfunction(inner) and inner.__name__ != "<lambda>":
             name = inner.__name__
-            hint = f"If {name} is the ADS itself, write `lambda: {name}`; if it makes an ADS, `lambda: {name}(...)`"
+            hint = f"If {name} is an ADS, write `lambda: {name}`. If it makes one, write `lambda: {name}(...)`"
         else:
             hint = (
                 "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh ADS: "
@@ -205,7 +205,7 @@ class Perception(Sight):
         elif not callable(self.ads):
             fix = "pass a function or class that returns an ADS, as in `pafot.Perception(MyPlanner, latency=0.3)`"
         if fix:
-            raise refused_policy("a factory that returns a new ADS for each scenario", shown(self.ads), fix)
+            raise refused_policy("a factory that returns a new ADS for each scenario", safe_repr(self.ads), fix)
 
     @property
     def sight(self) -> Sight:
@@ -219,7 +219,7 @@ class Perception(Sight):
             raise refused_policy("a pafot.Perception to be used as the factory", received, fix)
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):
-            raise refused_policy("the factory in a pafot.Perception to return a callable", shown(ads), DRIVES_ITSELF)
+            raise refused_policy("the factory in a pafot.Perception to return a planner", safe_repr(ads), DRIVES_ITSELF)
         return SeeingAds(ads, self.sight)
 
 
@@ -435,8 +435,8 @@ Check = Callable[[Any], Any]
 class Aside:
     """The decisions that an ADS makes during a run without affecting the run."""
 
-    asked: int = 0  # number of decisions that it really made
-    answers: list[Any] = field(default_factory=list)  # one action per decision; None where it raised an error
+    asked: int = 0  # number of decisions that the ADS actually made
+    answers: list[Any] = field(default_factory=list)  # one action per decision, or None if the ADS raised an error
     at: Any = None  # the observation at the decision of a question, before it is replaced
     conditions: list[Evaluated] = field(default_factory=list)  # evaluated at the decision of a question
 
@@ -455,7 +455,7 @@ class Question:
 
 
 class Shadow(Around):
-    """An ADS with decisions that have no effect, because the run uses recorded actions."""
+    """An ADS whose decisions have no effect, because the run uses recorded actions."""
 
     def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
         super().__init__(ads)
@@ -487,7 +487,7 @@ class Shadow(Around):
 def beside(
     factory: AdsFactory, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None = None
 ) -> AdsFactory:
-    """Return a factory of ADSs with decisions that have no effect, because the run uses the recorded actions."""
+    """Return a factory of ADSs whose decisions have no effect, because the run uses the recorded actions."""
     return wrap_ads(factory, lambda ads: Shadow(ads, actions, check, aside, question))
 
 

@@ -1,4 +1,4 @@
-"""Faster versions of highway-env's road networks and vehicles, with the same results."""
+"""Faster versions of highway-env's road networks and vehicles, and the NPCs as vehicles of highway-env."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
     @target_speed.setter
     def target_speed(self, speed: float) -> None:
-        """Ignore the desired speed that the code of an environment sets."""
+        """Ignore the desired speed that an environment's code sets."""
 
     def control(self, acceleration: float, steering: float) -> None:
         super().act({"steering": steering, "acceleration": acceleration})
@@ -147,7 +147,7 @@ def _copied(held: Any, protocol: Any) -> Any:
     return (seen if make is kind else make), tuple([seen if each is kind else each for each in given]), *others
 
 
-# with these, the code of an environment can read and copy a vehicle, but not move it
+# with these members, an environment's code can read and copy a vehicle, but not move it
 HELD: Mapping[str, Any] = MappingProxyType(
     {
         "speed": property(lambda self: vars(self)["speed"], lambda self, _: None),
@@ -156,7 +156,7 @@ HELD: Mapping[str, Any] = MappingProxyType(
         "__reduce_ex__": _copied,
     }
 )
-# with these, a vehicle keeps its controls, regardless of its class, and does not check for contacts
+# with these members, a vehicle of any class keeps its controls, and does not check for contacts
 MOVED: Mapping[str, Any] = MappingProxyType(
     {
         **{name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")},
@@ -195,7 +195,7 @@ class TrafficClass:
 
 
 def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
-    """Return the class that ``config["other_vehicles_type"]`` names, after testing it next to the ego on a road.
+    """Return the class that ``config["other_vehicles_type"]`` names, after a test with one of its vehicles on a road.
 
     ``changed`` contains the constants that the environment has set, by class.
 
@@ -206,10 +206,10 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
         raise TypeError(f"{given!r:.100} is not a class derived from highway-env's Vehicle")
     if own := [name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))]:
-        raise TypeError(f"{seen.__name__} computes {', '.join(own)} itself, which the run has to set")
+        raise TypeError(f"{seen.__name__} itself computes {', '.join(own)}, which the run has to set")
     ego = road.vehicles[0]
     pose = np.array(ego.position), float(ego.heading), float(ego.speed)
-    # A test: the class must accept the attributes that a run sets, and its vehicles must change to the derived classes.
+    # The class must accept the attributes that a run sets, and its vehicles must be able to change to derived classes.
     made = seen(road, *pose)
     plain = next(each for each in (IDMVehicle, ControlledVehicle, Vehicle) if issubclass(seen, each))(road, *pose)
     if lacking := [name for name in vars(plain) if not hasattr(made, name)]:
@@ -325,7 +325,7 @@ def straight_road(network: RoadNetwork) -> StraightRoad | None:
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
-    """Return the constants of a highway-env vehicle, with the constants of ``IDMVehicle`` where it has none."""
+    """Return the constants of a highway-env vehicle, with the values of ``IDMVehicle`` for missing constants."""
     return {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in CONSTANTS}
 
 
@@ -405,7 +405,7 @@ class CompiledRoad:
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
-    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and the start [m] of each."""
+    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and their starts [m]."""
     lanes, graph = road.network.lanes_dict(), road.network.graph
     searched = [[(number, 0.0)] for number in numbers.values()]
     for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():

@@ -33,10 +33,10 @@ from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
 from pytest_pafot.world.plausible import Plausibility
 
-# Returns what the ego has done in an episode so far: `crashed`, `moved` or both.
+# Returns what the ego has done in an episode so far: `crashed`, `moved`, both or neither.
 Watch = Callable[[], set[str]]
 
-# The longest episode of an environment that does not specify a duration [s].
+# The longest duration [s] of an episode.
 LONGEST = 3600.0
 
 
@@ -83,7 +83,7 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
         except WorldError:
             raise
         except Exception as wrong:
-            expected = f"that {environment.env_id}, with its wrappers, can be reset with the seed {seed}"
+            expected = f"{environment.env_id}, with its wrappers, to reset with the seed {seed}"
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
         view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
@@ -160,7 +160,7 @@ def _drive_by_actions(
 def _drive_beside(
     env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, watch: Watch
 ) -> tuple[int, AdsError | None]:
-    """Run an episode in which a vehicle of a class, or a planner's car, replaces the environment's ego.
+    """Run an episode in which a vehicle of the policy's class, or a planner's car, replaces the environment's ego.
 
     Return the number of steps, and the planner's error or None.
     """
@@ -193,8 +193,8 @@ def _connect_planner(
     road, hz = straight_road(env.road.network), int(env.config["simulation_frequency"])
     if road is None:
         raise WorldError(
-            f"world: expected a straight road for a planner in SI units, received the road of {type(env).__name__}; "
-            "use a policy for the environment's own observations and actions, or a vehicle class"
+            f"world: expected a straight road for a planner in SI units, received the road of {type(env).__name__}. "
+            "Use a policy for the environment's own observations and actions, or a vehicle class"
         )
     ego, every = env.vehicle, hz // PLANNER_HZ or 1
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]

@@ -123,7 +123,7 @@ class StockPolicy(GuardedDriver):
         # An exception of a wrapper is raised again in the next decision.
         try:
             self._seen, *others = result = call()
-            self.is_over = len(others) != 1 and _has_ended(result)  # a reset only returns an info in addition
+            self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only one more value, the info
         except UNFIT as error:
             if self.outer is self.outer.unwrapped or isinstance(error, AdsHang):
                 raise
@@ -153,8 +153,8 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
         hold()
         return result
 
-    # A user's `reset` is called, and its call of highway-env's `reset` calls the replaced `_reset`. Otherwise, the
-    # effects of highway-env's `reset` are repeated, and NPCs are held afterwards.
+    # A user's `reset` is called, and in turn calls highway-env's `reset` with the replaced `_reset`. Without a user's
+    # `reset`, the effects of highway-env's `reset` are repeated, and NPCs are held afterwards.
     if type(plain).reset is AbstractEnv.reset:
         plain.reset = in_place_of_highway_envs
     else:
@@ -188,7 +188,7 @@ def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
         "simulation_frequency": rules.physics_hz,
         "policy_frequency": rules.ads_hz,
         "action": {"type": "ContinuousAction"},
-        "observation": {"type": "AttributesObservation", "attributes": ()},  # unused; this one is the fastest
+        "observation": {"type": "AttributesObservation", "attributes": ()},  # unused, so this is the fastest type
     }
     env, _ = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
@@ -211,7 +211,7 @@ def replay_environment(
         if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected no wrappers= for a factory with the parameter `env`, received "
-                f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}; omit wrappers=, because a planner that "
+                f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}. Omit wrappers=, because a planner that "
                 f"simulates inside the environment uses the environment's observations and actions without wrappers"
             )
         view = View(environment.make().unwrapped, env)
@@ -227,7 +227,7 @@ def replay_environment(
             HangGuard(rules.hang_limit),
         )
         driver = StockPolicy(ads.policy, seen, ego, rules.every, guard, view)
-        limit = environment.step_limit if environment.wrappers is None else None  # with wrappers, these count the steps
+        limit = environment.step_limit if environment.wrappers is None else None  # any wrappers count the steps
         vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
         return _Loop(vehicles, env, driver, guard, traffic, objects, limit).run()
 
@@ -265,8 +265,8 @@ def _si_run(
     route: tuple[Any, ...] | None = None,
     traffic: TrafficClass | None = None,
 ) -> Trace:
-    # For an ego that does not use the environment's observations and actions. Observations would take longer than all
-    # the rest, and some environments compute rewards only for their own egos.
+    # The ego does not use the environment's observations and actions. Observations would take longer than all the
+    # rest, and some environments compute rewards only for their own egos, so both are disabled.
     guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
     env.config["policy_frequency"] = env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
@@ -287,7 +287,7 @@ class EpisodeEnds(OwnEnds):
     """The detection of an episode's end by a wrapped environment's ``step``, in a run that moves the vehicles itself.
 
     The run replaces only the simulation in ``step``. So an episode ends at the same tick as with ``env.step``, unless
-    its end depends on the action. If the environment has an action without effect, each step gets it.
+    its end depends on the action. If the environment has an action without effect, each step uses it.
     """
 
     def __init__(
@@ -341,7 +341,7 @@ class EpisodeEnds(OwnEnds):
         else:
             if loop.tick == self.asked:  # a user's step that simulates nothing
                 self._simulate()
-            if not self.has_failed:  # a method that ended the episode keeps its name, unless a wrapper continues
+            if not self.has_failed:  # keep the name of a method that ended it, unless a wrapper continues
                 self.ended = (self.ended or end_of(self._outer)) if is_over else ""
         return self._error
 
@@ -363,7 +363,7 @@ class EpisodeEnds(OwnEnds):
 def episode_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> EpisodeEnds:
-    """Return the end detection of a wrapped environment for an ego from outside the environment."""
+    """Return the ``EpisodeEnds`` of a wrapped environment for an ego that does not belong to the environment."""
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
@@ -387,13 +387,13 @@ def _has_ended(result: Sequence[Any]) -> bool:
     if len(result) != 5:
         raise ValueError(
             "step: expected (observation, reward, terminated, truncated, info), as in gymnasium, received "
-            f"{len(result)} values; return both terminated and truncated"
+            f"{len(result)} values. Return both terminated and truncated"
         )
     return bool(result[2]) or bool(result[3])
 
 
 def end_of(outer: Any) -> str:
-    """Name the step limit, the wrappers or the ``step`` that ended an episode, unless another method did."""
+    """Return the name of the step limit, wrappers or ``step`` that ended an episode, if no other method did."""
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
@@ -452,7 +452,7 @@ class _Loop:
         env.road.act, env.road.step = self._act, self._step
 
     def __deepcopy__(self, memo: object) -> _Loop:
-        # highway-env deep-copies vehicles and their road to predict them.
+        # highway-env deep-copies vehicles and their road to predict motion.
         return self
 
     def run(self) -> Trace:
@@ -472,7 +472,7 @@ class _Loop:
         return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
 
     def _says(self, ends: OwnEnds, name: str) -> bool:
-        # A method reports the end of the run, too: otherwise, a wrapper that steps until the end of the episode would
+        # A method also reports the end of the run. Otherwise, a wrapper that steps until the end of the episode would
         # never stop after a collision.
         return self._is_over or ends.says(name)
 
@@ -501,8 +501,8 @@ class _Loop:
             self._check_objects()
             if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
                 raise WorldError(
-                    f"wrappers: expected that each step of the wrappers steps the environment, received a step at "
-                    f"{tick / self._run.rules.physics_hz:.1f} s that did not; remove wrappers that end or reset "
+                    f"wrappers: expected each step of the wrappers to step the environment, received a step at "
+                    f"{tick / self._run.rules.physics_hz:.1f} s that did not. Remove wrappers that end or reset "
                     f"episodes"
                 )
             if self._ends is not None and not self._is_over:
@@ -529,7 +529,7 @@ class _Loop:
         config, ticks = self._env.config, self._run.rules.physics_hz
         name, received = "config.simulation_frequency", config["simulation_frequency"]
         if received != ticks:
-            fix = "keep it the same after every reset"
+            fix = "set the same value in every reset"
             raise WorldError(
                 field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
             )
@@ -538,7 +538,7 @@ class _Loop:
         return hz
 
     def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
-        """Set the class of all NPCs, in runs of a policy, to a class derived from the traffic class."""
+        """In runs of a policy, give every NPC a class derived from the traffic class."""
         for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
             npc.__class__ = getattr(self._class, name)
 
@@ -548,7 +548,7 @@ class _Loop:
             each.check_collisions = False
 
     def _check_vehicles(self, method: str) -> None:
-        # A `reset` or `step` of the environment may change which vehicles there are, or move the NPCs.
+        # A `reset` or `step` of the environment may add or remove vehicles, or move the NPCs.
         found, known = list(self._env.road.vehicles), self._vehicles
         added, removed = (
             [each for each in a if all(each is not one for one in b)] for a, b in ((found, known), (known, found))
@@ -557,18 +557,18 @@ class _Loop:
             f"{word} {plural(len(each), 'vehicle')}" for word, each in (("adds", added), ("removes", removed)) if each
         ]
         if self._env.vehicle is not known[0]:
-            changes.append("makes another ego")
+            changes.append("replaces the ego")
         if method == "step" and not changes and self._moved:
             changes.append(self._moved)
         if not changes:
             return
         raise WorldError(
             field="env_id",
-            expected="an environment in which the ego and the NPCs of the run are the only vehicles",
+            expected="an environment that does not change the vehicles of a run",
             received=f"{self._who}, whose `{method}` {' and '.join(changes)} at "
             f"{self._run.loop.tick / self._run.rules.physics_hz:.1f} s",
-            fix="create other vehicles only in `_reset`, where the NPCs replace them; use an NPC of a scenario "
-            "for a vehicle that appears, moves or leaves",
+            fix="if the environment has other vehicles, create them in `_reset`. The NPCs replace them. For a vehicle "
+            "that appears, moves or leaves, use an NPC",
         )
 
     @property
@@ -592,19 +592,19 @@ class _Loop:
         if known == found:
             return
         (x, y, *_), seconds = min(known ^ found), self._run.loop.tick / self._run.rules.physics_hz
-        what = "more" if found > known else "fewer" if found < known else "other"
+        what = "an additional" if found > known else "a missing" if found < known else "a changed"
         raise WorldError(
             field="env_id",
-            expected="an environment with fixed objects that are on the road after a reset with seed 0 and stay there",
-            received=f"{type(self._env).__name__}, with {what} objects at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
-            fix="create all objects in `_reset`, or at the same positions in each `reset`; use an NPC for an object "
-            "that appears or moves",
+            expected="an environment whose fixed objects never differ from those after a reset with seed 0",
+            received=f"{type(self._env).__name__}, with {what} object at ({x:.1f}, {y:.1f}) m at {seconds:.1f} s",
+            fix="create all objects in `_reset`, or create them at the same positions in each `reset`. For an object "
+            "that appears or moves, use an NPC",
         )
 
     def _act(self) -> None:
         # Replaces `Road.act`, which calls each vehicle's `act`. A user's `act` is called for its effect on the ego.
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
-        # A `reset`, in which NPCs are held, may call the environment's `step`. A road's own `act` may call their `act`.
+        # A `reset`, in which NPCs are held, may call the environment's `step`. A road's `act` may call the NPCs' `act`.
         self._make_npcs("seen" if self._road_act is None else "moved")
         if self._road_act is not None and isinstance(driver, StockPolicy):
             self._road_act()

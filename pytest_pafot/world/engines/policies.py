@@ -47,7 +47,7 @@ def rollout(
 ) -> Trace:
     """Simulate a scenario with a vehicle class or a policy.
 
-    For a vehicle class, ``own_ends`` is called. It is a function like :func:`ends_beside`.
+    ``own_ends``, a function like :func:`ends_beside`, is called for a vehicle class.
     """
     with ExitStack() as at_the_end:
         # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
@@ -71,7 +71,7 @@ def rollout(
                 if rules.ends:
                     put_ego(env, ego)
                 return _run_driver(environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
-            # The kernel drives an IDM on lanes that it knows.
+            # The kernel drives an IDM on lanes that it supports.
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
@@ -89,7 +89,7 @@ def rollout(
 def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
-    """Return an environment's methods that end episodes, for an ego from outside the environment, or None."""
+    """Return an environment's ``OwnEnds`` for an ego that does not belong to it, or None if it cannot end runs."""
     if not rules.ends:
         return None
     env = _env_of(environment, scenario)
@@ -151,7 +151,7 @@ def put_ego(env: Any, ego: Any) -> None:
 
 
 def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    """Put a policy's ego into an environment, with the usual class for the actions or the class that the reset uses.
+    """Put a policy's ego, with the same class as the ego that the reset created, into an environment.
 
     Raises:
         WorldError: if the class cannot be called with the arguments that highway-env passes.
@@ -167,7 +167,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     except TypeError as error:
         raise WorldError(
             field="env_id",
-            expected="an ego whose class can be called with (road, position, heading, speed)",
+            expected="an environment whose ego has a class that can be called with (road, position, heading, speed)",
             received=f"{type(own).__name__}{signature} ({error})",
             fix="give the other parameters default values",
         ) from None

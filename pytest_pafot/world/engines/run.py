@@ -69,7 +69,7 @@ class VehiclesOfRun:
             if overlap(ego, box):  # the ego is longer than in the rules
                 rules.refuse_start(scenario, each)
         self.sizes = [(each.length, each.width) for each in self.vehicles]  # [m]
-        # Not zeroed, which would take a fortieth of a run: the loop writes each row before anything reads it.
+        # Not zeroed, because that would take a fortieth of a run, and the loop writes each row before it is read.
         self.rows: Any = np.empty((ticks + 1) * len(self.sizes) * COLUMNS).data
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
 
@@ -81,7 +81,7 @@ class VehiclesOfRun:
         """Return the trace up to the current tick. ``error`` is the policy's error that ended the run, if any."""
         loop, places, count = self.loop, self.places, len(self.sizes)
         has_touched = loop.ego_touched or loop.npcs_touched
-        # A jump of a speed in the last tick is an error of the user's code, unless a collision explains it.
+        # A jump in speed in the last tick is an error of the user's code, unless a collision explains it.
         if self.plausibility is not None and self.plausibility.doubt and not has_touched:
             self.ended, self.has_failed, error = self.plausibility.doubt, True, None
         shape = (loop.tick + 1, count, COLUMNS)
@@ -95,7 +95,7 @@ class VehiclesOfRun:
             track = np.array(places.track).reshape(ticks, count, -1)[: shape[0]]
         if len(places.on_way):
             on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
-        # The outcome: errors have priority over events that end the loop, and these over leaving the road.
+        # The outcome: errors have priority over events that end the loop, which have priority over leaving the road.
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
         outcome = Outcome.COMPLETED if off_road_tick is None else Outcome.OFF_ROAD
@@ -136,7 +136,7 @@ class VehiclesOfRun:
         now = self._boxes(states[-1])
         touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
         tick = self.loop.tick
-        # The side is decided by the positions before the impact.
+        # The positions before the impact determine the side.
         before, ego = self._boxes(states[max(tick - 1, 0)]), states[-1, 0]
         if not touching:
             # The ego has hit a fixed object. Take the object with the largest overlap.
@@ -183,7 +183,7 @@ class VehiclesOfRun:
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
 
     def drive(self, driver: EgoDriver, guard: HangGuard, ends: OwnEnds | None = None) -> Trace:
-        """Run to the end under the guard, and return the trace. ``ends`` can end the run earlier."""
+        """Run to the end under the guard, and return the trace. ``ends`` can end the run early."""
         ticks = self.rules.ticks(self.scenario)
         try:
             with guard:
@@ -271,7 +271,7 @@ def _method_name(env: Any, name: str, method: Any) -> str:
 
 @contextmanager
 def _options(config: dict[str, Any], **given: Any) -> Iterator[None]:
-    # In place, because a method may use the configuration for a counter.
+    # Changed in place, because a method may keep a counter in the configuration.
     before = {name: config[name] for name in given}
     config.update(given)
     try:
@@ -355,7 +355,7 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
     The type ``car`` does not change the class.
 
     Raises:
-        WorldError: if the class has a different size.
+        WorldError: if the class sets a size that is not the type's.
     """
     if kind == CAR:
         return vehicle_class

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pytest_pafot.model.trace import AdsError, named
+from pytest_pafot.model.trace import AdsError, vehicle_name
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.world.driving.policy import Unseeing, check_by
 from pytest_pafot.world.engines.run import VehiclesOfRun
@@ -33,10 +33,10 @@ from pytest_pafot.world.plausible import Implausible, Plausibility
 
 # The time that `close` of a simulator may take [s].
 CLOSING = 10.0
-# The largest difference between the first state of a vehicle and the requested one [m, m, rad, m/s].
+# The largest differences between a vehicle's first state and the requested state [m, m, rad, m/s].
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
-# In its first tick, a vehicle of at least `MOVES` [m/s] must move in the direction of its heading, as far as its speed
-# implies. The tolerance is this proportion of the distance, and this change of speed [m/s^2].
+# In its first tick, a vehicle at a speed of at least `MOVES` [m/s] must move in the direction of its heading, as far as
+# its speed implies. The tolerance is this proportion of the distance, plus this change in speed [m/s^2].
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
 # One run only shows that something is wrong. This function finds the wrong attribute by experiments.
 CAUSE = "To find the cause, call pytest_pafot.testing.check_world(world)"
@@ -46,7 +46,7 @@ Headings = Literal[
 # The axis of heading 0 in quarter turns, and 1 if headings increase from x to y.
 HEADINGS = dict(zip(get_args(Headings), product(range(4), (1, -1)), strict=True))
 Reference = Literal["centre", "front", "rear axle"]
-# Like `STARTS`, for an NPC that is put into the state of its control.
+# Like `STARTS`, for NPCs that the simulator puts into the states of their controls.
 PUT = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
 
 
@@ -75,7 +75,7 @@ class Control(NamedTuple):
 
     Attributes:
         acceleration: requested acceleration, in the simulator's unit of speed per second.
-        steering: angle of the front wheels. Headings increase if it is positive.
+        steering: angle of the front wheels. A positive angle increases the heading.
         x, y, heading, speed: state at the end of the tick according to the package's kinematic bicycle model.
         action: action of the ego's policy, if the simulator is ``native``. ``acceleration`` and ``steering`` are then
             0. None for NPCs, and while one of the package's drivers replaces the policy.
@@ -91,7 +91,7 @@ class Control(NamedTuple):
 
 
 class _Hz:
-    # The default: the rate of `dt`, else 15 ticks per second.
+    # The default: 1 / `dt`, or 15 ticks per second if `dt` is None.
     def __get__(self, simulator: Any, of: Any = None) -> float:
         dt = (of if simulator is None else simulator).dt
         return 15 if dt is None else 1 / dt
@@ -109,16 +109,16 @@ class Simulator(ABC):
         lanes: number of parallel straight lanes. The x axis is the centre line of lane 0, the leftmost lane. For lanes
             of other shapes, a list of the centre lines from the left, each with at least two points (x, y) in the
             direction of driving.
-        lane_width: width of a lane. None for 4 m.
-        speed_limit: speed limit. None for 26.8 m/s.
-        length: length of the road if ``lanes`` is a number. None if it has no end.
-        start_lane, start_speed, start_at: the ego's lane, speed and position along the lane at the start on a curved
-            road. None stands for a speed of 22 m/s or the limit, and for the first position with enough road behind the
-            ego.
+        lane_width: width of a lane, by default 4 m.
+        speed_limit: speed limit, by default 26.8 m/s.
+        length: length of the road if ``lanes`` is a number. None if the road is endless.
+        start_lane, start_speed, start_at: the ego's initial lane, speed and position along the lane on a curved road.
+            The default speed is 22 m/s, or the speed limit if that is lower. The default position is the first one with
+            enough road behind the ego.
         obstacles: fixed objects, each given by the x and y of its centre, its heading, length and width.
         y_is_left: True if y is positive to the left of a vehicle that drives along x.
         headings: axis with heading 0, and axis with a heading of a quarter turn, for example ``"x to y"`` or ``"x to
-            -y"``. A compass is ``"y to x"`` if x points to the east and y to the north.
+            -y"``. Compass headings are ``"y to x"`` if x points to the east and y to the north.
         degrees: True if angles are in degrees.
         reference: point of a vehicle at x and y: the ``"centre"`` of its box, or the middle of its ``"front"`` or
             ``"rear axle"``.
@@ -194,7 +194,7 @@ class Simulator(ABC):
         """
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the arguments with which the class creates this simulator again, as data for a file."""
+        """Return the arguments that recreate this simulator, as data for a file."""
         return {}
 
 
@@ -224,7 +224,7 @@ class Frame:
         """Convert a row of the simulator's states to a run's x [m], y [m], heading [rad] and speed [m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
-        # A simulator may limit headings to one turn, while a run must not jump by a turn.
+        # A simulator may limit headings to one turn, but in a run, they must not jump by a turn.
         heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
         if ahead := self._share * length - self._behind:
             x -= ahead * math.cos(heading)
@@ -246,7 +246,7 @@ class Frame:
 
 
 class RepeatedBody(Body):
-    """The ego of a repeated run, which repeats its decisions up to a tick and then obeys its driver."""
+    """The ego of a repeated run, which repeats recorded decisions up to a tick and then obeys its driver."""
 
     def __init__(self, length: float, width: float, actions: Sequence[Any], until: int) -> None:
         super().__init__(length, width)
@@ -259,7 +259,7 @@ class RepeatedBody(Body):
     def step(self, dt: float) -> None:
         driver = self.repeats
         if driver is not None and self._tick < self._until:
-            self.steering = self._steering  # of the last decision; the driver that takes over has set another
+            self.steering = self._steering  # of the last decision; the driver that takes over has changed it
             if self._tick % driver.every == 0:
                 driver.decide(self._tick)
             driver.actuate()
@@ -417,7 +417,7 @@ class Simulation:
             if number in self._put:
                 self._speeds[number] = body.speed
                 continue
-            if state[3] != body.speed:  # at an equal speed, it has the requested acceleration
+            if state[3] != body.speed:  # at the same speed, it has the requested acceleration
                 body.acceleration = (state[3] - self._speeds[number]) * self._hz
             body.place(*state)
             self._speeds[number] = state[3]
@@ -439,12 +439,12 @@ class Simulation:
         except (TypeError, ValueError):
             rows = np.empty(0)
         if rows.shape != (count, 4):
-            expected = f"x, y, heading and speed of {count} vehicles, the ego first, as an array of shape ({count}, 4)"
+            expected = f"an array of shape ({count}, 4) with x, y, heading and speed of each vehicle, the ego first"
             received = f"an array of shape {rows.shape}" if rows.size else f"{given!r:.200}"
             raise WorldError(field=self._place("states"), expected=expected, received=received)
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
-            received = f"{STARTS[column][0]} = {rows[number, column]} for {named(number)}"
+            received = f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}"
             raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
         stated: list[list[float]] = rows.tolist()
         return stated
@@ -459,12 +459,14 @@ class Simulation:
                 if abs(value - wanted) <= largest:
                     continue
                 place = f"{self._place('states')} after {method}"
-                expected = f"{name} = {wanted:.2f} for {named(number)} (in m, rad and m/s, with y to the right)"
-                fix = "put each vehicle into the requested state, in the given order"
+                unit = {"heading": "rad", "speed": "m/s"}.get(name, "m")
+                axes = " (y points to the right)" if name in ("y", "heading") else ""
+                expected = f"{name} = {wanted:.2f} {unit} for {vehicle_name(number)}{axes}"
+                fix = "put each vehicle into the requested state, and return the states in the order of the vehicles"
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
                     fix += f". In this run, start received {received}, and states returned {states_has}"
-                raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
+                raise WorldError(field=place, expected=expected, received=f"{value:.2f} {unit}", fix=f"{fix}. {CAUSE}")
 
     def _check_way(self, rows: list[list[float]]) -> None:
         # In the first tick, vehicles must move in the direction of their headings, as far as their speeds imply.
@@ -478,10 +480,10 @@ class Simulation:
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
-            expected = f"{named(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
+            expected = f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
             turned = abs((math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1])) + 180.0) % 360.0 - 180.0)
-            received = f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees away from that direction"
-            fix = f"are hz, the units and axes correct, and does states return the states after the step? {CAUSE}"
+            received = f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees off that direction"
+            fix = f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}"
             raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
     def _place(self, method: str) -> str:
@@ -489,7 +491,7 @@ class Simulation:
 
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
-        # Each call of a method has a time limit, and its errors name the method.
+        # Each call of a method has a time limit, and errors in it name the method.
         guard = self._guard
         limit, guard.limit = guard.limit, patience_with_world(guard.limit)
         try:
@@ -501,7 +503,7 @@ class Simulation:
                 most, guard.limit = guard.limit, limit
             guard.raise_swallowed()
         except AdsHang:
-            expected, fix = f"a return within {most:g} s", "increase hang_limit of the world"
+            expected, fix = f"a return within {most:g} s", "increase the world's hang_limit"
             raise WorldError(field=self._place(method), expected=expected, received="none", fix=fix) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
@@ -525,7 +527,7 @@ class Simulators:
         self._free: list[Any] = []
         if is_first:
             atexit.register(self.close_all)
-            if parent_process() is not None:  # multiprocessing ends its processes without the functions of atexit
+            if parent_process() is not None:  # multiprocessing ends its processes without calling atexit functions
                 Finalize(None, self.close_all, exitpriority=0)
         self._all.add(self)
 
@@ -563,7 +565,7 @@ class Simulators:
 
 
 def _close(process: int, simulators: list[Any]) -> None:
-    # A process that has forked from this one must not close its simulators.
+    # A forked process must not close the simulators of its parent.
     while simulators and process == getpid():
         simulator = simulators.pop()
         call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)

@@ -1,6 +1,6 @@
 """The seeding of the global random generators for each run, and the restoration of their states afterwards.
 
-So a policy that calls ``random.gauss`` or ``numpy.random.rand`` acts in the same way each time, in any process. torch
+A policy that calls ``random.gauss`` or ``numpy.random.rand`` then acts in the same way each time, in any process. torch
 is also seeded if other code has imported it.
 """
 
@@ -103,9 +103,9 @@ class _Generators:
     """The global random generators of this process.
 
     Seeding takes a hundredth of the time of a fast run, and few policies draw random numbers. So if the first run draws
-    none, the next runs share a seed. After each run, a comparison with a separate generator with that seed shows
-    whether the run drew numbers. If so, the run is repeated with its own seed, and each later run also has its own
-    seed.
+    none, the next runs share a seed. After each run, a comparison with a separate generator that has the same seed
+    shows whether the run drew numbers. If so, the run is repeated with its own seed, and each later run also has its
+    own seed.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class _Generators:
     def begin(self) -> None:
         """Forget the saved states and the results of earlier runs."""
         self._saved: list[tuple[_Generator, Any]] = []
-        self._others: list[Callable[[], float]] = []  # separate, with the shared seed; empty if none is shared
+        self._others: list[Callable[[], float]] = []  # generators with the shared seed; empty if runs share none
         self._may_share = True
 
     @contextmanager

@@ -63,7 +63,7 @@ class LastResort:
 
 
 def patience_with_world(hang_limit: float) -> float:
-    """Return how long [s] a call of a world's code may take, given the hang limit [s] of decisions."""
+    """Return the longest time [s] that a call of a world's code may take, given the hang limit [s] of decisions."""
     return max(WORLD_SHARE * hang_limit, LEAST_FOR_WORLD)
 
 
@@ -79,7 +79,7 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 
 @contextmanager
 def runs_end_in(seconds: float) -> Iterator[None]:
-    """Raise :class:`~pytest_pafot.support.errors.OutOfTime` in runs within a ``with`` block after ``seconds``.
+    """End the runs in a ``with`` block after ``seconds``, with :class:`~pytest_pafot.support.errors.OutOfTime`.
 
     The exception is raised before the next decision. If blocks are nested, the limit of the inner block applies.
     """
@@ -277,7 +277,7 @@ class HangGuard:
                 self._sent = True
                 self.interruption = self.interruption or why
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(why))
-            if why is OutOfTime:  # The process need not end if an ADS ignores it, because the limit applies.
+            if why is OutOfTime:  # If an ADS ignores it, the process need not end, because the limit still applies.
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
                 self._ignored = started, now
@@ -477,7 +477,7 @@ def let_through(error: BaseException) -> None:
 
 
 def _is_from_outside(error: BaseException) -> bool:
-    # True if a debugger or a signal handler, such as one for SIGTERM, has raised it.
+    # True if a debugger or a signal handler, for example for SIGTERM, has raised the exception.
     handlers = [getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()]
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     return any(frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames)
@@ -537,8 +537,8 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
             close()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = f"a return within {guard.limit:g} s" if failed.interrupted else "no exception"
-        received = "none, so the call was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
+        what = f"a call that returns within {guard.limit:g} s" if failed.interrupted else "no exception"
+        received = "one that had to be interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
         text = f"{name}: expected {what}, received {received}. This does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.support.errors import BadAction, plain_number
-from pytest_pafot.support.text import shown
+from pytest_pafot.support.text import safe_repr
 from pytest_pafot.world.kernel.driver import clamp
 
 EGO_ACCELERATION = 6.0
@@ -177,7 +177,7 @@ def _finite(value: Any) -> float:
 
 
 def _bad_lane_command(expected: str, command: LaneCommand) -> BadAction:
-    return BadAction(f"expected pafot.LaneCommand with {expected}, received {shown(command)}")
+    return BadAction(f"expected pafot.LaneCommand with {expected}, received {safe_repr(command)}")
 
 
 def _expected(action: Any) -> str:
@@ -187,7 +187,7 @@ def _expected(action: Any) -> str:
     if not hint and isinstance(action, dict):
         hint = "return the two values as a tuple"
     expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand"
-    received = f"{expected}, received {shown(action)}"
+    received = f"{expected}, received {safe_repr(action)}"
     return f"{received}; {hint}" if hint else received
 
 

@@ -1,9 +1,9 @@
-"""The control of crossing NPCs, each of which follows its own path and adapts to the ego's arrival at its zone.
+"""The control of crossing NPCs, each of which follows its own path to the zone where it meets the ego's path.
 
 An NPC adapts its speed to the ego's estimated arrival until a few seconds before it enters its zone. The NPC then keeps
-to its plan, because an NPC that slowed down with the ego would hide the ego's failures. Otherwise, it behaves like a
-driver: it stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other
-NPCs.
+to its plan, because an NPC that slowed down with the ego would hide the ego's failures. In other respects, the NPC
+behaves like a driver: it stops for an ego that is already in the zone, follows the vehicle ahead in its lane, and gives
+way to other NPCs.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class LeaderAhead:
 
 
 class CrossingNpc(Body):
-    """A crossing NPC, with x along its path, y to the right of this path, and a heading relative to this path."""
+    """A crossing NPC, with x along its path, y to the right of the path, and a heading relative to the path."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class CrossingNpc(Body):
 
 
 def stopping_speed(room: float, speed: float) -> float:
-    """Return the desired speed [m/s] for stopping within a distance [m] at the present speed [m/s]."""
+    """Return the desired speed [m/s] of a vehicle that must stop within a distance [m], given its speed [m/s]."""
     if room <= 0.0:
         return 0.0
     return min(gap_speed(room), speed_for_braking(speed * speed / (2.0 * room), speed))
@@ -173,7 +173,8 @@ class JunctionDirector(BaseDirector):
 
     def _npc(self, index: int, instruction: CrossingInstruction) -> CrossingNpc:
         kind = self._scenario.vehicle_of(index)
-        way, limits = self._junction.ways[instruction.zone].for_vehicle(kind, self._limits), self._limits.of(kind)
+        way = self._junction.ways[instruction.zone].for_vehicle(kind, self._limits)
+        limits = self._limits.for_vehicle(kind)
         zone = way.way.zone
         act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
         driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
@@ -239,7 +240,7 @@ class JunctionDirector(BaseDirector):
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
-        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # the last bend still causes some slip
+        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # just after a bend, there is still slip
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
         return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
 

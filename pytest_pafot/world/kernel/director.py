@@ -158,7 +158,7 @@ class Director(BaseDirector):
         before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
             if kind is not before:  # equal vehicles share a controller, which keeps no state between two calls
-                before, own = kind, limits.of(kind)
+                before, own = kind, limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
                 # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
@@ -185,7 +185,7 @@ class Director(BaseDirector):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario, in which started genes are as executed, and later genes as requested."""
+        """The scenario, in which started genes are as executed, and the others as requested."""
         scenario: Scenario = self._scenario
         on_grid, in_lanes = (
             [(done, gene) for npc in npcs for done, gene in zip(npc.executed, npc.chain, strict=False)]
@@ -404,7 +404,7 @@ class Director(BaseDirector):
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """Return the lane to steer to, one closer to the target lane, or the present lane if there is no room."""
+        """Return the next lane on the way to the target lane, or the present lane if there is no room."""
         lane = npc.lane
         if lane == target_lane:
             return lane
@@ -533,7 +533,7 @@ class NetworkDirector(Director):
         gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
         wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
         wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
-        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # so that an NPC turned outwards can turn back
+        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # an NPC that is turned outwards must turn back
             changing = math.sqrt(CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9))
             wanted = min(wanted, max(npc.speed, changing))
         npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)

@@ -101,7 +101,7 @@ def clamp(value: float, bound: float) -> float:
 class NpcDriver:
     """The controller of an NPC's acceleration and steering.
 
-    ``course`` is the direction [rad] of motion after the last steering, relative to the lane.
+    ``course`` is the direction of motion [rad], relative to the lane, after the last steering command.
     """
 
     def __init__(

@@ -116,7 +116,7 @@ class Network:
         return heading
 
     def closest(self, x: float, y: float, heading: float) -> int:
-        """Return the lane with the smallest sum of distance [m] and angle [rad] to a vehicle; the first of several."""
+        """Return the lane with the smallest sum of distance [m] and angle [rad] to a vehicle, or the first of these."""
         best, nearest = math.inf, 0
         for lane in range(self.count):
             self.locate(lane, x, y)

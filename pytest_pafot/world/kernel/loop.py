@@ -168,7 +168,7 @@ class GivenDriver(EgoDriver):
 class PlannerDriver(GivenDriver):
     """A driver that calls an ADS with observations, and executes the actions that the ADS returns.
 
-    The items of ``decisions`` are used in place of the first calls of the ADS.
+    The items of ``decisions`` replace the actions of the ADS, which is not called for these decisions.
     """
 
     def __init__(

@@ -157,7 +157,7 @@ class Observation:
     Attributes:
         time: time [s] since the start of the run.
         ego: vehicle that the planner drives.
-        others: NPCs. At a junction, only the NPCs on the ego's path.
+        others: NPCs; at a junction, only the NPCs on the ego's path.
         lanes: number of lanes.
         lane_width: width [m] of each lane.
         speed_limit: speed limit [m/s] of the fastest lane.
@@ -168,8 +168,8 @@ class Observation:
         ids: index in ``run.npcs`` of each vehicle in ``others``.
         lane_centres: y-coordinate [m] of each lane's centre, from the left.
         road_length: x-coordinate [m] of the end of the lanes, which start at x = 0.
-        crossing: NPCs on paths that cross the ego's path (:class:`pytest_pafot.CrossingVehicle`). ``ids`` and ``array``
-            do not contain these NPCs.
+        crossing: NPCs on other paths that cross or join the ego's path (:class:`pytest_pafot.CrossingVehicle`).
+            ``ids`` and ``array`` do not contain these NPCs.
     """
 
     __slots__ = (

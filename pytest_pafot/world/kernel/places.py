@@ -54,7 +54,7 @@ class Places:
         # along the path. It returns the index of the ego's lane in Trace.lanes, and the outcome if the run ends.
         self._beside: Any = beside
         self._along = array("d", starts)  # position of each vehicle along its path [m]
-        self._row = 0  # number of vehicles that were recorded before this tick: an index in `track` and `on_way`
+        self._row = 0  # sum of the vehicles recorded at all earlier ticks, from which indices in `track` follow
         npcs = len(vehicles) - 1
         rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
         # values of Trace.track and Trace.on_way; empty if the trace does not need them

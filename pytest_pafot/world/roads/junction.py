@@ -1,4 +1,4 @@
-"""Paths of crossing traffic through a network, and the zones of conflict with the ego's path and each other.
+"""Paths of crossing traffic through a network, and their zones of conflict with the ego's path and with each other.
 
 A path leads from a section without a predecessor, through consecutive sections, to a section without a successor. Paths
 that start in a section of the ego's path are excluded, because vehicles that start there are controlled relative to the
@@ -65,7 +65,7 @@ OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
 STRAIGHTER = 0.2  # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
 LEAD = 6.0  # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
 MOST_WAYS = 64  # largest number of paths that are used, the shortest first; city blocks have very many paths
-COARSE = 4  # number of points in the groups that are compared first when two paths are compared, which saves time
+COARSE = 4  # number of points per group; to save time, two paths are first compared by groups of points
 DRAWN = 4  # step between the points of a path that are stored for pictures
 
 
@@ -86,7 +86,7 @@ class CrossingWay:
     way: Way
     line: Line  # from the entry to the exit
     column: Column  # lane at each point
-    middle: float  # position nearest to the ego's path, or at which the path enters the ego's lane if it merges [m]
+    middle: float  # position nearest to the ego's path; if the paths merge, position of the entry into its lane [m]
     shaped: Shaped  # creates the lane for the limits and the length of an NPC
     along_ego: list[float]  # position of each point along the ego's path [m]; NaN if far from it or turned away
 
@@ -94,7 +94,7 @@ class CrossingWay:
         """Return this path with the zone and the speeds for a vehicle type."""
         if vehicle == CAR:
             return self
-        own = limits.of(vehicle)
+        own = limits.for_vehicle(vehicle)
         if (own, vehicle.length) in self._of_others:
             return self._of_others[own, vehicle.length]
         ((lane,), _) = self.shaped(own, vehicle.length)
@@ -188,7 +188,7 @@ class JunctionRoad(NetworkRoad):
 def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
     """Add the crossing and joining paths to a road, or return the road unchanged if there are none.
 
-    If necessary, the ego's start is moved back, so that the ego has time before the first zone.
+    If necessary, the ego's start is moved back, so that the ego does not reach its first zone too soon.
     """
     junction = _junction_of(env, road, limits, ego)
     if junction is None:

@@ -147,7 +147,7 @@ class NetworkRoad(Road):
         """Return the lanes along the ego's path, with the speeds and leans of a vehicle type."""
         if vehicle == CAR:
             return self.bends
-        key = self.limits.of(vehicle), vehicle.length
+        key = self.limits.for_vehicle(vehicle), vehicle.length
         if key not in self._of_others:
             self._of_others[key] = self._bends(self.shaped(*key)[0])
         return self._of_others[key]
@@ -172,9 +172,10 @@ class NetworkRoad(Road):
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
     def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
-        """Return the lane of an ego that is on no lane of its path, and the outcome, or None if the run continues.
+        """Return the index of the lane of an ego that is on no lane of its path, and the outcome of the run.
 
-        ``lane`` is the nearest lane of the path, and ``along`` [m] is the position along the path.
+        If the run continues, the outcome is None. ``lane`` is the nearest lane of the path, and ``along`` [m] is the
+        position along the path.
         """
         on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
         # if the ego is next to its lanes, but in a section of its path, the run continues
@@ -208,9 +209,9 @@ class NetworkRoad(Road):
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
         bends = self.bends_of(vehicle)
-        # Just after a bend, an NPC's heading still differs from its course, so the NPC turns. It turns faster at a
-        # higher speed.
-        most = BEND_SHARE * self.limits.of(vehicle).lateral_acceleration * vehicle.length / 2
+        # Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and the faster it drives,
+        # the faster it turns.
+        most = BEND_SHARE * self.limits.for_vehicle(vehicle).lateral_acceleration * vehicle.length / 2
         fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
         return min(wanted, bends.speed_at(lane, along), fastest)
 
@@ -332,8 +333,8 @@ def way(
 ) -> tuple[tuple[Piece, ...], int]:
     """Return the pieces of the ego's path in driving order, and the index of the piece in which the ego starts.
 
-    The ego starts in lane ``start`` at the position ``at`` [m]. ``planned`` is the ego's ``route`` in highway-env. If
-    the network continues that far, the path extends ``ahead`` [m] and ``behind`` [m] from the start.
+    The ego starts in lane ``start`` at the position ``at`` [m]. ``planned`` is the ego's ``route`` in highway-env. The
+    path extends ``ahead`` [m] and ``behind`` [m] from the start, or less if the network ends before that.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
     before: list[Piece] = []

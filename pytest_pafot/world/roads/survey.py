@@ -120,7 +120,7 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     if is_beside or turned > math.pi / 4:  # the grid runs along the ego's lane
         raise WorldError(
             field=name,
-            expected="an ego that starts in a lane and in the direction of that lane, because the grid follows it",
+            expected="an ego that starts in a lane and faces along it, because the grid follows that lane",
             received=f"an ego {abs(offset):.1f} m from the centre of the nearest lane {index}, at an angle of "
             f"{math.degrees(turned):.0f} degrees",
             fix="open areas such as parking lots have no grid",
@@ -130,7 +130,7 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
     # The position [m] along the line of a point on one of the line's pieces.
-    # a large additional distance excludes points of other pieces
+    # A large additional distance excludes points of other pieces.
     distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
@@ -179,7 +179,7 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the number and index of the ego's lane, and then of the adjacent lanes on each side."""
+    """Yield the rank and the entry of the ego's lane in ``found``, and then of the adjacent lanes on each side."""
     yield own, found[own]
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
@@ -461,7 +461,7 @@ def _curve(line: FloatArray) -> FloatArray:
 
 
 def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
-    """Return, for each station, the nearest point of a curve to its side, or NaN if there is none nearby."""
+    """Return, for each station, the nearest point of a curve on either side, or NaN if there is none nearby."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):
         ahead = (curve - station) @ direction

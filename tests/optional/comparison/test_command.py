@@ -51,7 +51,7 @@ def tables_of(report):
 
 def the_report_gives_the_command_and_the_versions(made, report):
     assert "python -m pytest_pafot compare --ads constant_speed" in report
-    assert "3 runs of each algorithm, 200 simulated seconds each, base seed 0." in report
+    assert "Each algorithm has 3 runs of 200 simulated seconds. The base seed is 0." in report
     assert re.search(r"pytest-pafot \S+, highway-env \S+, numpy \S+", report)
 
 
@@ -207,11 +207,11 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
      r"--algorithms: expected a time \[s\] or paper after the @, as in av-fuzzer@15, but received"),
     (["--ads", "constant_speedd"],
      "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
-     "module:factory for your own policy, received 'constant_speedd'; did you mean 'constant_speed'"),
+     "module:factory for your own policy, received 'constant_speedd'. Did you mean 'constant_speed'"),
     (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
     (["--runs", "0"], "--runs: expected a whole number, at least 1, but received 0"),
     (["--seed", "-1"], "--seed: expected a whole number, at least 0, but received -1"),
-    (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
+    (["--fitness", "papr"], "fitness: expected .* Did you mean 'paper'"),
     (["--clearance", "-1"], "clearance: expected .* received -1"),
     (["--world", "nowhere-v0"], "nowhere-v0"),
 ])  # fmt: skip
@@ -243,7 +243,7 @@ def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monk
 @pytest.mark.usefixtures("undrawn", "copies")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
-    """The cause may be a policy for an environment without --world; the folder stays free for the right command."""
+    """The cause may be a policy for an environment without --world. The folder stays free for the right command."""
     arguments = ["--ads", f"{__name__}:of_an_environment", "--workers", workers, "--runs", "1"]
     assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
@@ -254,8 +254,8 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
         "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand. "
-        'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...). On the command line, '
-        "world= is --world,",
+        'A policy for a highway-env environment needs world=pafot.World("highway-v0", config=...). On the command '
+        "line, world= is --world,",
     ):
         assert part in said.err
     assert not (tmp_path / "report.md").exists()
@@ -280,7 +280,7 @@ def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     report = (tmp_path / "report.md").read_text()
     head, _, *rows = tables_of(report)["Distinct failures for which the ego is responsible"]
     assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
-    assert "Failures in the search are all collisions, and exceptions and hangs of the ADS." in report
+    assert "The search counts as failures all collisions, and exceptions and hangs of the ADS." in report
 
 
 def raising_later():

@@ -156,7 +156,7 @@ def test_runs_without_duration_end_and_are_drawn_without_warning(tmp_path, quick
     (tmp_path / "results.csv").write_text(
         csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in rows))
     )
-    results = Results.of(plan, tmp_path / "results.csv")
+    results = Results.read(plan, tmp_path / "results.csv")
     assert (len(rows), results.horizon) == (12, 0.0)
     assert "discoveries" in draw_all(results, tmp_path)
 

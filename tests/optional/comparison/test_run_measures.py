@@ -36,7 +36,7 @@ def results(tmp_path):
     def read(*parts, algorithms=("pafot",)):
         path, every = tmp_path / "results.csv", [row for part in parts for row in part]
         path.write_text(csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in every)))
-        return run_measures.Results.of(Plan(ads="x", algorithms=algorithms), path)
+        return run_measures.Results.read(Plan(ads="x", algorithms=algorithms), path)
 
     return read
 

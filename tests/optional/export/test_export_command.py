@@ -51,11 +51,11 @@ def test_world_that_is_code_is_named(tmp_path, capsys):
     path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
-    assert "because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world\n" in (
+    assert "Because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world\n" in (
         capsys.readouterr().err
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
-    assert "received a simulator of the class OtherRoad; a file cannot contain code, " in capsys.readouterr().err
+    assert "received a simulator of the class OtherRoad. A file cannot contain code, " in capsys.readouterr().err
     assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
@@ -98,14 +98,14 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
     shutil.copy(FILE, tmp_path / "other")
     assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err
-    assert "an id that occurs in 2 files; give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
+    assert "an id that occurs in 2 files. Give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
 
 
 @pytest.mark.parametrize(("below", "received"), [
-    ("file", "{}: File exists; rename or delete the file that has the name of the folder, or give another"),
-    ("file/new", "{}: Not a directory; rename or delete the file that has the name of the folder, or give another"),
-    ("n" * 300, "{}: File name too long; shorten the name of a folder, of the test or of a parameter, or"),
-    ("taken", "{}/collision-xfail.csv: Is a directory; rename or delete the folder that has this name, or"),
+    ("file", "{}: File exists. Rename or delete the file that has the same name as the folder, or"),
+    ("file/new", "{}: Not a directory. Rename or delete the file that has the same name as the folder, or"),
+    ("n" * 300, "{}: File name too long. Shorten the name of a folder, of the test or of a parameter, or"),
+    ("taken", "{}/collision-xfail.csv: Is a directory. Rename or delete the folder that has this name, or"),
 ])  # fmt: skip
 def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path, capsys):
     (tmp_path / "file").touch()
@@ -127,8 +127,8 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked
 
 
 @pytest.mark.parametrize(("given", "expected"), [
-    ([], "the world of the file, received ValueError: no such observation; use the policy of the test\n"),
-    (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; use the "
+    ([], "the world of the file, received ValueError: no such observation. Use the policy of the test\n"),
+    (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation. Use the "
      "policy of the test, and its world if that is code\n"),
 ])  # fmt: skip
 def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
@@ -153,10 +153,10 @@ def raising():
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
-     "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains"),
+     "test_golden.py::test_never_at_fault, such as --ads module:factory, received none. A file contains"),
     ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
      "xosc-1.0, received 'xslx'"),
-    (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
+    (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id. `python -m"),
     ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
     ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "received one in which a process died"),
     ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
@@ -191,6 +191,6 @@ def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, n
     monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{module}", raising=False)
     assert export(FILE, "--to", name, "--ads", "constant_speed") == 2
     assert capsys.readouterr().err == (
-        f"export: --to {name}: expected the library {library}, received a Python environment without it; "
-        f"run `pip install 'pytest-pafot[{extra}]'`\n"
+        f"export: --to {name}: expected the library {library}, received a Python environment without it. "
+        f"Run `pip install 'pytest-pafot[{extra}]'`\n"
     )

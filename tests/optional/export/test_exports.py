@@ -309,7 +309,7 @@ def test_commonroad_checker_finds_collision_at_the_same_tick(exported, tmp_path)
 def test_openscenario_knows_what_vehicle_the_ego_and_an_npc_are(exported, kind, category):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
-    vehicle = VehicleType(name=kind, length=9.0, width=2.5) if " " in kind else VehicleType.of(kind)
+    vehicle = VehicleType(name=kind, length=9.0, width=2.5) if " " in kind else VehicleType.parse(kind)
     trace = replace(trace, scenario=trace.scenario.with_vehicle(0, vehicle), ego_vehicle=vehicle)
     content = exporter("xosc")(finding, trace)[f"{finding.id}.xosc"]
     found = [each.get("vehicleCategory") for each in ElementTree.fromstring(content).iter("Vehicle")]

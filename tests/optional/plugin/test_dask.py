@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.execution.dask_cluster import connected
+from pytest_pafot.execution.dask_cluster import connect
 from pytest_pafot.execution.runner import ExecutionError
 from tests.helpers.toy_world import scenario
 from tests.optional.test_dask_cluster import job_of
@@ -94,7 +94,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
     scenarios = [scenario(number) for number in range(60)]
     job = replace(job_of(tmp_path, make), root=Path(__file__).parents[2])
-    with connected(cluster.scheduler_address, print) as pool_of:
+    with connect(cluster.scheduler_address, print) as pool_of:
         pool = pool_of(job)
         pool.expect(scenarios)
         answers = [pool.fetch(each) for each in scenarios[:10]]
@@ -108,7 +108,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
     with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a running scheduler"):  # noqa: SIM117
-        with connected("tcp://127.0.0.1:9", print, timeout=0.2):
+        with connect("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
 
 
@@ -123,7 +123,7 @@ def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
             told.append(text)
             empty.scale(1)
 
-        with connected(empty.scheduler_address, tell):
+        with connect(empty.scheduler_address, tell):
             pass
     [text] = told
     assert text.startswith(f"--pafot-dask={empty.scheduler_address}: the scheduler has no worker, so no scenario runs")

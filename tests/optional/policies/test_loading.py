@@ -87,7 +87,7 @@ def test_frames_are_last_observations_padded_with_zeros(shape):
 def test_wrong_number_of_frames_is_a_clear_error():
     assert stacking_axis((5, 5), (5, 15), 3) == 1
     assert stacking_axis((5, 5), (5, 15), 2) is None
-    with pytest.raises(TypeError, match=r"2 observations that stack to the shape \(5, 15\).*use the frame_stack="):
+    with pytest.raises(TypeError, match=r"2 observations that stack to the shape \(5, 15\).*Use the frame_stack="):
         push_observation(None, np.zeros((5, 5)), 2, (5, 15))
 
 

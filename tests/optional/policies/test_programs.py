@@ -258,11 +258,11 @@ def test_program_that_cannot_start_is_a_setup_error():
 
 @table(("command", "timeout", "message"), [
     ("./planner", None,
-     r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)"),
-    ("python3 planner.py", None, r"write process\(\['python3', 'planner.py'\]\)"),
-    ([], None, r"in a list, received \[\]; name the program"),
-    (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
-    (["./planner"], 0, "received 0; use seconds"),
+     r"a program and its arguments in a list, received './planner'. Write process\(\['./planner'\]\)"),
+    ("python3 planner.py", None, r"Write process\(\['python3', 'planner.py'\]\)"),
+    ([], None, r"in a list, received \[\]. Name the program"),
+    (["./planner"], "1", "a timeout of more than 0 s, or None, received '1'"),
+    (["./planner"], 0, "received 0. Use seconds"),
 ])  # fmt: skip
 def test_invalid_command_or_timeout_is_refused_early(command, timeout, message):
     with pytest.raises(TypeError, match=message):

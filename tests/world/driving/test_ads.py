@@ -310,7 +310,7 @@ class CustomFault(Exception):  # noqa: N818
 @worlds
 @pytest.mark.parametrize("factory", [None, 3, "planner", (0.0, 0.0), object()])
 def test_what_cannot_be_called_is_no_factory(world, idle, factory):
-    with pytest.raises(AdsFactoryError, match=r"ads: expected a factory \(a callable .*return lambda: MyPlanner"):
+    with pytest.raises(AdsFactoryError, match=r"ads: expected a factory, a callable .*return lambda: MyPlanner"):
         world.rollout(SCENARIO, factory)
 
 

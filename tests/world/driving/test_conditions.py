@@ -9,7 +9,14 @@ from types import MappingProxyType
 
 import pytest
 
-from pytest_pafot.world.driving.conditions import LONGEST, NOBODY, Conditions, differing_numbers, parting, shown
+from pytest_pafot.world.driving.conditions import (
+    LONGEST,
+    NOBODY,
+    Conditions,
+    differing_numbers,
+    group_conditions,
+    parting,
+)
 
 
 @pytest.fixture
@@ -36,7 +43,7 @@ def recorded(module, source, seen, ads="decide"):
 
 def rows_of(conditions, first=MappingProxyType({})):
     """Return the rows of conditions of which nobody knows whom they are about."""
-    return [row for whom, rows in shown(conditions, first) for row in rows if not whom]
+    return [row for whom, rows in group_conditions(conditions, first) for row in rows if not whom]
 
 
 def evaluated(module, source, seen, ads="decide"):
@@ -136,7 +143,7 @@ def test_a_long_condition_is_whole_and_one_of_a_program_is_left_out_whole(module
     rows = recorded(module, "\n".join([f"def decide({name}):", *(f"    if {each}: pass" for each in tests)]), 3.0)
     assert rows[1] == f"line 10: {tests[8]}  ({name}.real = 3) -> False"
     assert [row.partition(":")[0] for row in rows] == [f"line {number}" for number in range(11, 1, -1)]
-    assert re.fullmatch(r"line 11: \d{5} characters -> True", rows[0])
+    assert re.fullmatch(r"line 11: condition of \d{5} characters -> True", rows[0])
 
 
 FREE = """
@@ -172,12 +179,15 @@ def test_conditions_are_grouped_by_the_vehicle_whose_place_their_values_change_w
     """The NPC that is asked about is first, and has its own evaluation of a loop over all."""
     nudges = [(30.01, 8.0, 40.0), (30.0, 8.01, 40.0), (30.0, 8.0, 40.01)]
     here, whom = whom_of(module, FREE, (30.0, 8.0, 40.0), nudges)
-    assert shown(here, npc=0, whom=whom) == (
+    assert group_conditions(here, npc=0, whom=whom) == (
         ("NPC 0", ("line 6: gap < 10  (gap = 30) -> False", "line 5: gap < 0  (gap = 30) -> False")),
         (NOBODY, ("line 3: len(gaps) > 9  (len(gaps) = 3) -> False",)),
         ("NPC 1", ("line 6: gap < 10  (gap = 8) -> True", "line 5: gap < 0  (gap = 8) -> False")),
     )
-    assert [whom_ for whom_, _ in shown(here, npc=2, whom=whom)] == [NOBODY, "NPC 1"]  # the loop ended before
+    assert [whom_ for whom_, _ in group_conditions(here, npc=2, whom=whom)] == [
+        NOBODY,
+        "NPC 1",
+    ]  # the loop ended before
 
 
 TRACKS = """
@@ -200,9 +210,9 @@ def decide(seen):
 def test_what_is_in_an_object_of_the_user_says_whom_a_condition_is_about(module, made):
     nudges = [(30.01, 40.0), (30.0, 40.01)]
     here, whom = whom_of(module, TRACKS.format(made=made), (30.0, 40.0), nudges)
-    assert [each for each, _ in shown(here, npc=0, whom=whom)] == ["NPC 0"]
+    assert [each for each, _ in group_conditions(here, npc=0, whom=whom)] == ["NPC 0"]
     here, whom = whom_of(module, TRACKS.format(made="Wish(seen)"), (30.0, 40.0), nudges)
-    assert [each for each, _ in shown(here, npc=0, whom=whom)] == ["NPC 0, NPC 1"]
+    assert [each for each, _ in group_conditions(here, npc=0, whom=whom)] == ["NPC 0, NPC 1"]
 
 
 def test_an_evaluation_of_another_vehicle_is_no_other_outcome_of_this_one(module):

@@ -132,9 +132,9 @@ def test_ads_is_closed_and_gains_no_methods():
 @table(("make", "error", "message"), [
     (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a vehicle class reads the road itself"),
     (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections in one"),
-    (lambda: pafot.Perception(42), AdsFactoryError, "pass a function or class that returns an ADS"),
+    (lambda: pafot.Perception(42), AdsFactoryError, "Pass a function or class that returns an ADS"),
     (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
-    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "the factory in a pafot.Perception to return a callable"),
+    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "the factory in a pafot.Perception to return a planner"),
     (lambda: pafot.Perception(Watching)("what is seen"), AdsFactoryError,
      "to be used as the factory, received a call with an observation"),
     (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),

@@ -183,7 +183,7 @@ def test_reset_that_does_not_return_ends_the_run_or_the_look_at_the_world(clock)
     assert trace.error.message.startswith("Starting.reset did not return")
     Starting.left = 1
     with pytest.raises(
-        WorldError, match=r"one where Starting.reset did not return within 300 s .* increase the world's hang_limit"
+        WorldError, match=r"one in which Starting.reset did not return within 300 s .* increase the world's hang_limit"
     ):
         wrapped(Starting).check_fits(SCENARIO)
 
@@ -202,7 +202,7 @@ def test_episode_of_own_traffic_ends_as_a_hang(clock):
     world = wrapped(Starting)
     world.check_fits(SCENARIO)
     Starting.left = 1
-    with pytest.raises(WorldError, match=r"received one where Starting.reset did not return"):
+    with pytest.raises(WorldError, match=r"received one in which Starting.reset did not return"):
         drive_episode(world, idle, 3)
 
 

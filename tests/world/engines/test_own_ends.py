@@ -399,7 +399,7 @@ def test_a_file_says_what_ends_runs_only_where_that_matters(register):
         assert world.to_dict() == {**World(env_id).to_dict(), "ends": "duration"}
         assert from_dict(world.to_dict()).ends == "duration"
     assert World("highway-v0", wrappers=[Fenced], ends="duration").to_dict()["ends"] == "duration"
-    with pytest.raises(WorldError, match="ends: expected one of environment, duration, received 'never'"):
+    with pytest.raises(WorldError, match="ends: expected 'environment' or 'duration', received 'never'"):
         World("highway-v0", ends="never")
 
 
@@ -410,7 +410,7 @@ def test_a_failure_behind_the_end_has_drifted(register):
     assert (found.outcome, found.ego[-1, X] > 261.0) == (Outcome.COLLISION, True)
     failed = Failure(kind="AssertionError", assertion="assert not run.collision")
     seen = Found(seed=1, generation=0, algorithm="")
-    finding = Finding.of(Run(found), failed, test="t.py::t", world={}, found=seen)
+    finding = Finding.from_run(Run(found), failed, test="t.py::t", world={}, found=seen)
     now = World("ending-v0").rollout(stops, idle)
     assert not handles(finding, Run(now))
     said = unhandled(finding, Run(now))

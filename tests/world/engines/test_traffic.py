@@ -397,7 +397,7 @@ class Final(IDMVehicle):
 @table(("kind", "message"), [
     (Extra, "missing 1 required positional argument: 'mood'"),
     (Abstract, "abstract class Abstract"),
-    (Computed, "Computed computes speed itself, which the run has to set"),
+    (Computed, "Computed itself computes speed, which the run has to set"),
     (Halfway, "Halfway.__init__ does not set target_lane_index, target_speed, route, enable_lane_change, timer"),
     (Fixed, "fixed at the start"),
     (Final, "no class may derive from it"),
@@ -432,5 +432,5 @@ def test_file_may_name_a_vehicle_class_that_the_test_has_imported():
     config = {"other_vehicles_type": f"{__name__}.Own"}
     assert from_dict({"kind": "gym", "env_id": "highway-v0", "config": config}).config == config
     config = {"other_vehicles_type": f"{__name__}.Slowing"}
-    with pytest.raises(WorldError, match="must not name other code"):
+    with pytest.raises(WorldError, match="a corpus file cannot import other code"):
         from_dict({"kind": "gym", "env_id": "highway-v0", "config": config})

@@ -94,7 +94,7 @@ def test_policies_and_planners_in_environment_are_closed(env_id, drive, inside):
 
 @pytest.mark.parametrize(
     ("end", "said"),
-    [(raises, "no exception, received LookupError: lost"), (None, "a return within 30 s")],
+    [(raises, "no exception, received LookupError: lost"), (None, "a call that returns within 30 s")],
     ids=["raises", "hangs"],
 )
 def test_error_in_closing_is_only_a_warning(end, said, monkeypatch):
