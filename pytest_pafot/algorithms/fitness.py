@@ -236,7 +236,7 @@ class _Checked:
         if not isinstance(value, (Real, np.bool_)):
             raise FitnessError(
                 f"fitness: expected {_name(self.function)} to return a number, but it returned {value!r} for {trace!r}."
-                " Return a float, which is higher the worse the run is for the ego."
+                " Return a float that increases as the run gets worse for the ego."
             )
         return _never_nan(float(value))
 

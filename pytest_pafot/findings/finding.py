@@ -575,7 +575,7 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
     if now.assertion != then.assertion:
         return f"{now.assertion or 'no assertion'!r} fails instead of {then.assertion or 'no assertion'!r}"
     if run.outcome is not finding.expect.outcome:
-        return f"the run ends with {run.outcome} instead of {finding.expect.outcome}"
+        return f"the run ends with `{run.outcome}` instead of `{finding.expect.outcome}`"
     if hit is None or not same_versions:  # other versions of packages may move vehicles
         return ""
     if finding.expect.npc is not None and hit.npc != finding.expect.npc:

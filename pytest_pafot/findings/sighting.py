@@ -242,7 +242,7 @@ class Seen:
         worst, own = self.alike.severity, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""
-        return f"the worst {worst}"
+        return f"the worst one {worst}"
 
     @property
     def impacts(self) -> str:

@@ -100,7 +100,7 @@ class MetaDrive(Simulator):
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
             received = "no MetaDrive" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
-            expected, fix = "MetaDrive 0.4.3 in Python 3.11", f"run `{install('metadrive')}` with Python 3.11"
+            expected, fix = "MetaDrive 0.4.3 on Python 3.11", f"run `{install('metadrive')}` with Python 3.11"
             raise WorldError(field="pafot.metadrive", expected=expected, received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
             expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'

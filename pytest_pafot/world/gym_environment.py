@@ -853,7 +853,7 @@ def _check_names(place: str, given: Any, known: Collection[str]) -> None:
     for name in given:
         if name not in known:
             fix = _hint(name, known)
-            raise WorldError(field=place, expected="options of highway-env", received=str(name), fix=fix)
+            raise WorldError(field=place, expected="a highway-env option", received=str(name), fix=fix)
         if name in NESTED:
             _check_names(f"{place}.{name}", given[name], known)
 

@@ -61,7 +61,7 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     (r"closing_speed: [\d.]+", "closing_speed: 0.5", "a closing speed of"),
     (r" closing_speed: [\d.]+", " closing_speed: 0.5", None),  # a worse one was known
     (r"assertion: not run.collision", "assertion: not run.off_road", "fails instead of"),
-    (r"outcome: collision", "outcome: off_road", "the run ends with collision instead of off_road"),
+    (r"outcome: collision", "outcome: off_road", "the run ends with `collision` instead of `off_road`"),
     (r"npc: ", "npc: ", None),
     (r"responsibility: \w+", "responsibility: both", None),
     (r"\btime: [\d.]+, npc", "time: 1.0, npc", None),

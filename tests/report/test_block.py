@@ -64,7 +64,7 @@ def test_a_block_reads_so():
         "At 4.2 s, the policy saw NPC 0 (6.7 m ahead) and chose acceleration 0.2 m/s^2;",
         "  with NPC 0 4 m nearer: acceleration -6.0 m/s^2.",
         "  line 7: gap < 5  (gap = 6.8) -> False",
-        "31 of 40 runs failed in the same way. The worst hits at 11.4 m/s.",
+        "31 of 40 runs failed in the same way. The worst one hits at 11.4 m/s.",
         f"replay {AGAIN}",
     ]
 
@@ -148,7 +148,7 @@ def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
 
 
 def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
-    assert "31 of 40 runs failed in the same way. The worst hits at 11.4 m/s." in block(runs=40)[0]
+    assert "31 of 40 runs failed in the same way. The worst one hits at 11.4 m/s." in block(runs=40)[0]
     assert "in the same way" not in block(runs=1, alike=Alike())[0]
     assert "No other run failed in the same way. replay" in block(runs=9, alike=Alike())[0]
     assert "31 of 40 runs failed in the same way. replay" in block(runs=40, severity=HARDER)[0]

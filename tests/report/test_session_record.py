@@ -121,7 +121,7 @@ def test_every_key_is_described_in_a_docstring(thing, names):
 def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
     own, worse = (Severity(kind="collision", value=speed, unit="m/s") for speed in (3.0, 14.2))
     seen = sighting(severity=own, alike=Alike(runs=11, number=87, severity=worse))
-    assert seen.worst == "the worst hits at 14.2 m/s"
+    assert seen.worst == "the worst one hits at 14.2 m/s"
     assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).worst == ""
     assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
     assert seen.impacts == ", closing at 3.0 to 14.2 m/s"

@@ -17,7 +17,7 @@ NEEDS_3_11 = pytest.mark.skipif(sys.version_info >= (3, 12), reason="there is no
 def test_without_metadrive_the_error_names_the_extra(monkeypatch):
     monkeypatch.setattr(metadrive, "find_spec", lambda name: None)
     with pytest.raises(
-        WorldError, match=r"0.4.3 in Python 3.11, received no MetaDrive. Run `pip install 'pytest-pafot\[metad"
+        WorldError, match=r"0.4.3 on Python 3.11, received no MetaDrive. Run `pip install 'pytest-pafot\[metad"
     ):
         _ = pafot.metadrive().road
 

@@ -229,17 +229,17 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
     ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
     ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
-     "config.observation: expected options of highway-env, received vehicle_count. Did you mean 'v"),
+     "config.observation: expected a highway-env option, received vehicle_count. Did you mean 'v"),
     ({"observation": {"type": "Kinematics", "normalise": False}}, "Did you mean 'normalize'?"),
     ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
-     "config.observation.observation_config: expected options of highway-env, received oder. Did you"),
+     "config.observation.observation_config: expected a highway-env option, received oder. Did you"),
     ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
-     "config.observation.observation_configs[0]: expected options of highway-env, received clips. Did you"),
+     "config.observation.observation_configs[0]: expected a highway-env option, received clips. Did you"),
     ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra. The options are absolute, align_to"),
     ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
-     "config.action: expected options of highway-env, received target_speed. Did you mean 'target_speeds'?"),
+     "config.action: expected a highway-env option, received target_speed. Did you mean 'target_speeds'?"),
     ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
-     "config.action.action_config: expected options of highway-env, received laterl. Did you mean 'l"),
+     "config.action.action_config: expected a highway-env option, received laterl. Did you mean 'l"),
 ])  # fmt: skip
 def test_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):

@@ -567,8 +567,8 @@ class _Loop:
             expected="an environment that does not change the vehicles of a run",
             received=f"{self._who}, whose `{method}` {' and '.join(changes)} at "
             f"{self._run.loop.tick / self._run.rules.physics_hz:.1f} s",
-            fix="if the environment has other vehicles, create them in `_reset`. The NPCs replace them. For a vehicle "
-            "that appears, moves or leaves, use an NPC",
+            fix="if the environment has other vehicles, create them in `_reset`, so that the NPCs can replace them. "
+            "For a vehicle that appears, moves or leaves, use an NPC",
         )
 
     @property
