@@ -135,7 +135,7 @@ class Evaluation:
 
     @property
     def depth(self) -> int:
-        """For each NPC, the number of genes that affected the run."""
+        """The number of genes per NPC that affected the run."""
         # The genes of all NPCs start at the same times, so their total number determines the number per NPC.
         lengths = [len(chain) for chain in self.executed.npcs]
         longest = max(lengths)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from itertools import pairwise
 from types import MappingProxyType
@@ -163,7 +162,8 @@ def _deed(
     is_told: bool = False,
 ) -> str:
     # The changes of speed up to the impact, phase by phase. With `gaps` to a leader [m], braking is stated in numbers.
-    part, told, has_braked = np.maximum(speeds[since:], 0.0), list[str](), False
+    # Each phase has its time, if it is known, and its description.
+    part, told, has_braked = np.maximum(speeds[since:], 0.0), list[tuple[str, str]](), False
     for begin, end in pairwise([*_turns(part), len(part) - 1]):
         change = float(part[end] - part[begin])
         if not abs(change) >= LOST:  # also if the change is NaN
@@ -172,27 +172,29 @@ def _deed(
         way = 1 if change > 0 else -1
         first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
         first = first if first - begin >= TOLD / 4 * hz else begin
-        when, since_when = "", f"from {(since + first) / hz:.1f} s on " if first else ""
-        told += [_kept(part[0])] if first and not told else []
+        when, rate = f"from {(since + first) / hz:.1f} s on" if first else "", ""
+        told += [("", _kept(part[0]))] if first and not told else []
         hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
         is_braking = change < 0 and hardest >= BRAKES
         if is_braking and gaps is not None:
-            when = f" at up to {hardest:.1f} m/s^2"
+            rate = f" at up to {hardest:.1f} m/s^2"
             if not has_braked and not np.isnan(gaps[since + first]):
-                gap = f"({gaps[since + first]:.1f} m behind {leader})"
-                when, since_when = (when, f"{since_when}{gap} ") if since_when else (f"{when} {gap}", "")
+                when = f"{when} ({gaps[since + first]:.1f} m behind {leader})".lstrip()
         has_braked |= is_braking
         how = "braked" if is_braking else "slowed" if change < 0 else "sped up"
-        told.append(f"{since_when}{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{when}")
+        told.append((when, f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{rate}"))
     then = f" from {since / hz:.1f} s on" if since and (gaps is not None or not is_told) else ""
+    # The time stands after the first phase that is shown, and before the others.
+    texts = [
+        f"{when} {how}" if number and when else f"{how} {when}".rstrip()
+        for number, (when, how) in enumerate(told[-PHASES:])
+    ]
     if speeds[-1] < -SAME:
-        return listed([*told[-PHASES:], f"drove backwards at {-speeds[-1]:.1f} m/s"])
+        return listed([*texts, f"drove backwards at {-speeds[-1]:.1f} m/s"])
     if not told and _kept(part[-1]) == STOOD:
         return STOOD if is_ahead else f"{STOOD}{then}"
-    told = told[-PHASES:] or [_kept(part[-1])]
-    # If the first phases are omitted, the time stands at the end.
-    told[0] = re.sub(r"^(from \S+ s on(?: \(.*?\))?) (.*)", r"\2 \1", told[0])
-    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then}"])])
+    texts = texts or [_kept(part[-1])]
+    return listed([*texts, *([] if has_braked or is_ahead else [f"did not brake{then}"])])
 
 
 def _kept(speed: float) -> str:

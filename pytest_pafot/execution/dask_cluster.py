@@ -135,10 +135,9 @@ class DaskPool:
                 elif isinstance(error, (OSError, CancelledError)):
                     self.failure = _named(error)
                 else:
-                    received = f"{type(error).__name__}: {error}"
                     raise ExecutionError(
-                        f"{OPTION}: expected workers that can run scenarios, received the error {received}. Do the "
-                        "workers have the same packages as this session?"
+                        f"{OPTION}: expected workers that can run scenarios, received the error {_named(error)}. Do "
+                        "the workers have the same packages as this session?"
                     ) from None
                 continue
             if isinstance(done, str):

@@ -34,7 +34,7 @@ from pytest_pafot.corpus.layout import (
     is_inside as is_inside_project,
 )
 from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of, value_if_right
-from pytest_pafot.report.session import ADVICE, WHY_UNNAMED
+from pytest_pafot.report.session import ADVICE, UNNAMED_ADVICE
 from pytest_pafot.searches.options import BY_NAME, OF_COMMAND
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural, visible
@@ -97,7 +97,7 @@ class Guard:
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
             counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark: {first(unnamed)}"
-            _report(session, UNNAMED_ID, counted, f"{WHY_UNNAMED.partition('. ')[2]}. {why}")
+            _report(session, UNNAMED_ID, counted, f"{UNNAMED_ADVICE}. {why}")
         self._note_left()
         if fails := self._session.fails:
             counted = f"this session did not run {plural(len(fails), 'saved scenario')}: {first(fails)}"

@@ -13,7 +13,7 @@ from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
-from pytest_pafot.findings.finding import SAME_TIME, Finding, signature_of_failure, unhandled
+from pytest_pafot.findings.finding import SAME_TIME, Finding, is_same_failure, unhandled
 from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
@@ -112,7 +112,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     cause, finding = cause_of(run, verdict), saved.finding
     if cause is None or verdict.failure is None or finding is None:
         return
-    if signature_of_failure(run, verdict.failure) == finding.signature:  # this is the saved failure
+    if is_same_failure(finding, run, verdict.failure):  # this is the saved failure
         return
     key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
     line = ascii_text(headline(run, verdict))

@@ -29,9 +29,8 @@ ADVICE = (
     "If the test was renamed or moved, move the saved files to its folder MODULE/TEST in the corpus, and correct the "
     "node id in the `test:` line of each file. If the test was deleted, delete the files"
 )
-WHY_UNNAMED = (
-    "pytest does not collect it. Rename the test, its class or its file so that pytest collects it, or set __test__ to "
-    "False in the test or class"
+UNNAMED_ADVICE = (
+    "Rename the test, its class or its file so that pytest collects it, or set __test__ to False in the test or class"
 )
 
 
@@ -104,7 +103,7 @@ class Session:
         self.failures[node_id, phase] = text
         self.reasons.setdefault(node_id, reason)
         if saved is not None and node_id not in self.seen:
-            again = rerun(["python", "-m", "pytest", saved["file"]], os.environ, saved=saved["id"])
+            again = rerun(["python", "-m", "pytest", *self.options, saved["file"]], os.environ, saved=saved["id"])
             self.unread.setdefault(node_id, {**saved, "replay": again})
         elif saved is None and node_id not in self.seen:
             self.searches.setdefault(node_id, Search(node_id=node_id))

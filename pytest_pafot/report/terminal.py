@@ -19,7 +19,7 @@ from pytest_pafot.findings.shrink import described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
-from pytest_pafot.report.session import WHY_UNNAMED, Session
+from pytest_pafot.report.session import UNNAMED_ADVICE, Session
 from pytest_pafot.searches.events import UNTESTED, Ending, Note, Progress, Search
 from pytest_pafot.support.errors import OF_SEARCH, command, flag
 from pytest_pafot.support.proportions import interval_text
@@ -281,7 +281,7 @@ def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
 
 
 def against_lines(session: Session, width: int = WIDTH) -> list[str]:
-    """For each reference, count the failures that the policy introduces, that it fixes, and that both have."""
+    """Count the failures that the policy introduces, that it fixes and that both have, for each reference."""
     lines: list[str] = []
     if session.incomparable:  # otherwise, the counts would be incomplete
         return lines
@@ -316,7 +316,7 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
         lines += [node_id, *_wrapped("did not finish; its findings so far are reported", width)]
     lines += replay_lines(session.replays, width)
     lines += against_lines(session, width)
-    lines += [f"not run: {test}: {WHY_UNNAMED}" for test in session.unnamed]
+    lines += [f"not run: {test}: pytest does not collect it. {UNNAMED_ADVICE}" for test in session.unnamed]
     if session.left:
         lines.append(f"not run: {plural(len(session.left), 'saved scenario')}: {_listed(session.left, MAX_LEFT)}")
     # The command `search` prints its own advice.

@@ -27,7 +27,7 @@ class _Later(ModuleType):
 
 @contextmanager
 def _later() -> Iterator[None]:
-    """In a ``with`` block, replace matplotlib and pandas with placeholders that import them at first use."""
+    """Replace matplotlib and pandas, in a ``with`` block, with placeholders that import them at first use."""
     pyplot = _Later("matplotlib.pyplot")
     libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
     absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}

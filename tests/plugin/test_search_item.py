@@ -111,6 +111,10 @@ def test_commands_name_the_folder_of_the_command_line(failing):
     result.stdout.fnmatch_lines([f"replay pytest {option} *.pafot.yaml", f"pytest {option} --pafot-runs=0 replays *"])
     command = next(line for line in result.outlines if line.startswith("replay pytest")).split()[2:]
     failing.pytester.runpytest("-p", "pafot", *command).assert_outcomes(failed=1)
+    failing.only_file.write_text("pafot: 3\n")  # unreadable
+    failing.run(option, "--pafot-json=pafot.json", runs=0)
+    (told,) = json.loads((failing.path / "pafot.json").read_text())["findings"]
+    assert told["replay"].startswith(f"python -m pytest {option} ")
 
 
 def test_each_parametrisation_of_a_test_or_its_ads_has_its_own_files(project):

@@ -538,7 +538,7 @@ class _Loop:
         return hz
 
     def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
-        """In runs of a policy, give every NPC a class derived from the traffic class."""
+        """Give every NPC a class derived from the traffic class, if a policy drives the ego."""
         for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
             npc.__class__ = getattr(self._class, name)
 
