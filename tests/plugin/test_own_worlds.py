@@ -133,7 +133,7 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
 def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
     result = saved_wrapped.run("--pafot-strict-drift", runs=0)
-    result.stdout.fnmatch_lines([f"*world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"])
+    result.stdout.fnmatch_lines([f"*drifted*: world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"])
 
 
 def test_a_test_that_names_another_environment_is_refused(saved_wrapped):

@@ -95,7 +95,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-OVER = "  warning: *: the failure is no longer accepted (planner issue 12, until 2027-01-31). Correct *"
+OVER = "  warning: *.pafot.yaml: the failure is no longer accepted (planner issue 12, until 2027-01-31). Correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):

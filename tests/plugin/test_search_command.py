@@ -280,7 +280,7 @@ def test_session_of_a_search_that_is_killed_ends(here):
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
-    (["a_planner:Nobody"], "'a_planner:Nobody'. The module defines Planner, make, idle"),
+    (["a_planner:Nobody"], "'a_planner:Nobody'. The module defines Planner, make, idle and keeps_moving"),
     (["a_planner.py:Planner"], ". Write a_planner:Planner"),
     (["broken:Planner"], "broken.py:1). Correct the module"),
     (["a_planner:Planner", "--check", "foo"],

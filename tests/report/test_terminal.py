@@ -153,7 +153,8 @@ def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
 
 @pytest.mark.parametrize("reason", [each for each in Ending if not each.is_complete])
 def test_the_summary_says_why_a_search_ended_early_if_that_is_known(reason):
-    (line,) = [each for each in terminal.search_lines(replace(SEARCH, reason=reason)) if "search ended early" in each]
+    lines = terminal.search_lines(replace(SEARCH, reason=reason))
+    (line,) = [each for each in lines if "The search ended early" in each]
     assert (", because " in line) == (reason is not Ending.UNKNOWN)
 
 

@@ -651,7 +651,8 @@ def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received
     with pytest.raises(WorldError) as refused:
         world.rollout(scenario, IDLE)
     assert fnmatch(
-        str(refused.value), f"*received {cls.__name__}*, {received}. If the environment has other vehicles, create *"
+        str(refused.value),
+        f"*received {cls.__name__}*, {received}. If the environment has other vehicles, create them in `_reset`, *",
     )
 
 

@@ -102,8 +102,9 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
 
 
 @pytest.mark.parametrize(("below", "received"), [
-    ("file", "{}: File exists. Rename or delete the file that has the same name as the folder, or"),
-    ("file/new", "{}: Not a directory. Rename or delete the file that has the same name as the folder, or"),
+    ("file", "{}: File exists. Rename or delete the file that has the same name as the folder, or give another"),
+    ("file/new", "{}: Not a directory. Rename or delete the file that has the same name as the folder, or "
+     "give another"),
     ("n" * 300, "{}: File name too long. Shorten the name of a folder, of the test or of a parameter, or"),
     ("taken", "{}/collision-xfail.csv: Is a directory. Rename or delete the folder that has this name, or"),
 ])  # fmt: skip
