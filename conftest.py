@@ -20,9 +20,15 @@ pytest_plugins = ["pytester"]
 # Every session tries the same 20 examples per test. Of 60 seeded faults, 60 examples per test found only one more,
 # which now has its own test. --hypothesis-profile=fresh tries different examples, and --hypothesis-seed=N repeats them.
 settings.register_profile(
-    "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
+    "project",
+    derandomize=True,
+    deadline=None,
+    max_examples=20,
+    suppress_health_check=[HealthCheck.too_slow],
 )
-settings.register_profile("fresh", settings.get_profile("project"), derandomize=False, max_examples=60)
+settings.register_profile(
+    "fresh", settings.get_profile("project"), derandomize=False, max_examples=60
+)
 settings.load_profile("project")
 
 # If nohup or a background script started this session, all processes that tests start would ignore these signals.
@@ -71,13 +77,19 @@ def has_stages(path: Path) -> bool:
     """Return whether a test file contains tests of a stage, according to its text, its folder or ``long.txt``."""
     file = f"{path.relative_to(TESTS.parent).as_posix()}::"
     is_listed = any(each.startswith(file) for each in LONG)
-    return is_listed or path.is_relative_to(OPTIONAL) or bool(NAMED.search(path.read_text(encoding="utf-8")))
+    return (
+        is_listed
+        or path.is_relative_to(OPTIONAL)
+        or bool(NAMED.search(path.read_text(encoding="utf-8")))
+    )
 
 
 def left_out(config: pytest.Config) -> set[str]:
     """Return the stages that a session of all test files skips, as the README's command does."""
     words = config.option.markexpr.split(" and ")
-    is_whole = config.args == config.getini("testpaths") and all(word.startswith("not ") for word in words)
+    is_whole = config.args == config.getini("testpaths") and all(
+        word.startswith("not ") for word in words
+    )
     return {word.removeprefix("not ") for word in words} if is_whole else set()
 
 
@@ -102,7 +114,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         is_of_others = bool(stages) and is_test and is_left_out(collection_path, stages)
         return True if is_of_others or (collection_path == OPTIONAL and not is_named) else None
     words = set(re.findall(r"\w+", config.option.markexpr))
-    is_of_stages = bool(words) and words <= {*STAGES, "or"} and config.args == config.getini("testpaths")
+    is_of_stages = (
+        bool(words) and words <= {*STAGES, "or"} and config.args == config.getini("testpaths")
+    )
     return True if is_of_stages and is_test and not has_stages(collection_path) else None
 
 
@@ -128,7 +142,10 @@ def pytest_make_collect_report(
     with the same order would rewrite all files twice. With opposite orders, each reads files that the other rewrote.
     """
     report = yield
-    if isinstance(collector, pytest.Directory) and os.environ.get("PYTEST_XDIST_WORKER", "gw0")[-1] in "13579":
+    if (
+        isinstance(collector, pytest.Directory)
+        and os.environ.get("PYTEST_XDIST_WORKER", "gw0")[-1] in "13579"
+    ):
         report.result.reverse()
     return report
 
@@ -142,7 +159,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
     for item in items:
         if item.nodeid.partition("[")[0] in LONG:
             item.add_marker("long")
-    stages = {item: {mark.name for mark in item.iter_markers()}.intersection(STAGES) for item in items}
+    stages = {
+        item: {mark.name for mark in item.iter_markers()}.intersection(STAGES) for item in items
+    }
     for path in {item.path for item in items if stages[item]}:
         if not has_stages(path):
             raise pytest.UsageError(
@@ -163,7 +182,9 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
     gc.disable()
     collected = yield
     gc.freeze()
-    atexit.register(gc.unfreeze)  # or libraries report leaks; earlier, pytest would search these objects five times
+    atexit.register(
+        gc.unfreeze
+    )  # or libraries report leaks; earlier, pytest would search these objects five times
     gc.set_threshold(100_000, 50, 100)
     gc.enable()
     if any(item.get_closest_marker("processes") for item in session.items):
@@ -181,8 +202,13 @@ def use_huge_pages() -> None:
     if call is None:
         return
     call.argtypes = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
-    for first, last in re.findall(r"^(\w+)-(\w+) rw-p 0+ 00:00 0 *(?:\[heap\])?$", maps.read_text(), re.MULTILINE):
-        begin, end = -(-int(first, 16) // HUGE_PAGE) * HUGE_PAGE, int(last, 16) // HUGE_PAGE * HUGE_PAGE
+    for first, last in re.findall(
+        r"^(\w+)-(\w+) rw-p 0+ 00:00 0 *(?:\[heap\])?$", maps.read_text(), re.MULTILINE
+    ):
+        begin, end = (
+            -(-int(first, 16) // HUGE_PAGE) * HUGE_PAGE,
+            int(last, 16) // HUGE_PAGE * HUGE_PAGE,
+        )
         if begin < end:
             call(begin, end - begin, MADV_COLLAPSE)  # if it fails, the pages stay small
 

@@ -26,13 +26,19 @@ def readme_commands() -> list[list[str]]:
     """Return the README's commands that install the project and run its tests."""
     found = re.search(r"<!-- the tests -->\n```sh\n(.*)\n```", README)
     if found is None:
-        raise SystemExit("README.md: expected commands after <!-- the tests -->, received none. Restore them.")
+        raise SystemExit(
+            "README.md: expected commands after <!-- the tests -->, received none. Restore them."
+        )
     return [shlex.split(command) for command in found[1].split(" && ")]
 
 
 def requirement(name: str) -> str:
     """Return the requirement for a package from the extra ``test``, including the version."""
-    return next(each for each in PROJECT["project"]["optional-dependencies"]["test"] if re.match(rf"{name}\b", each))
+    return next(
+        each
+        for each in PROJECT["project"]["optional-dependencies"]["test"]
+        if re.match(rf"{name}\b", each)
+    )
 
 
 @nox.session(python=PYTHONS)
@@ -78,6 +84,14 @@ def docs(session: nox.Session) -> None:
     """Check all samples, tables, links and options in the documentation, and build the site."""
     session.install(".[test,docs]")
     session.run(
-        "python", "-m", "pytest", "-n", "2", "-m", "stories or not stories", "tests/test_docs.py", *session.posargs
+        "python",
+        "-m",
+        "pytest",
+        "-n",
+        "2",
+        "-m",
+        "stories or not stories",
+        "tests/test_docs.py",
+        *session.posargs,
     )
     session.run(*shlex.split("python -m sphinx -W --keep-going -n -b html docs build/site"))

@@ -30,7 +30,10 @@ DIRECTIVES = {
 }
 SHARED = f"pytest_pafot.{KERNEL['SHARED']}"  # Cython's own code for arrays, compiled once instead of in each module
 FLAGS = [
-    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add, so interpreted modules return the same numbers
+    *(
+        "-ffp-contract=off",
+        "-fno-math-errno",
+    ),  # no fused multiply-add, so interpreted modules return the same numbers
     *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run takes 5 % longer
 ]
 
@@ -38,7 +41,9 @@ FLAGS = [
 BUILD = "build"
 """The folder in which setuptools saves generated and compiled files."""
 EXAMPLES = "example_ads"
-EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # a top-level package `example_ads` could clash with the user's own
+EXAMPLES_INSTALLED = (
+    f"pytest_pafot.{EXAMPLES}"  # a top-level package `example_ads` could clash with the user's own
+)
 
 
 class WithoutExampleTests(build_py):
@@ -47,13 +52,20 @@ class WithoutExampleTests(build_py):
     def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
         """Return the modules of a package, without the tests of the example policies."""
         modules: list[tuple[str, str, str]] = super().find_package_modules(package, package_dir)
-        return [each for each in modules if package != EXAMPLES_INSTALLED or each[1] not in ("conftest", "test_safety")]
+        return [
+            each
+            for each in modules
+            if package != EXAMPLES_INSTALLED or each[1] not in ("conftest", "test_safety")
+        ]
 
 
 def packages() -> list[str]:
     """Return the packages of ``pytest_pafot`` and the example policies, which a clone contains in a separate folder."""
     examples = find_packages(include=[f"{EXAMPLES}*"])
-    return [*find_packages(include=["pytest_pafot*"]), *(f"pytest_pafot.{name}" for name in examples)]
+    return [
+        *find_packages(include=["pytest_pafot*"]),
+        *(f"pytest_pafot.{name}" for name in examples),
+    ]
 
 
 class AllOrNothing(build_ext):
@@ -66,9 +78,14 @@ class AllOrNothing(build_ext):
 
     def run(self) -> None:
         """Compile all extensions. If this fails, warn and remove them. The record does not exist while files change."""
-        roots = Path(self.build_lib), Path()  # anyone who runs Python in a clone imports the clone's package
+        roots = (
+            Path(self.build_lib),
+            Path(),
+        )  # anyone who runs Python in a clone imports the clone's package
         records = [root / self.record() for root in roots]
-        self.force = self.force or not records[0].exists()  # an interrupted build may have left incomplete files
+        self.force = (
+            self.force or not records[0].exists()
+        )  # an interrupted build may have left incomplete files
         for record in records:
             record.unlink(missing_ok=True)
         try:
@@ -77,9 +94,15 @@ class AllOrNothing(build_ext):
             for record in records:
                 record.write_text(SOURCES, encoding="utf-8")
         except Exception as error:  # noqa: BLE001  (compilers fail in many ways, and none of them is fatal)
-            warnings.warn(f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1)
+            warnings.warn(
+                f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1
+            )
             self.extensions.clear()
-        built = {root / self.get_ext_filename(extension.name) for extension in self.extensions for root in roots}
+        built = {
+            root / self.get_ext_filename(extension.name)
+            for extension in self.extensions
+            for root in roots
+        }
         suffix = self.get_ext_filename("")
         for path in [path for root in roots for path in (root / PACKAGE).rglob(f"*{suffix}")]:
             if path not in built:  # otherwise a deleted module could still be imported
@@ -92,7 +115,9 @@ class AllOrNothing(build_ext):
     def get_output_mapping(self) -> dict[str, str]:
         """Return the source folder's path for each built file, because some editable installations use links."""
         mapping: dict[str, str] = super().get_output_mapping()
-        return mapping | ({str(Path(self.build_lib, self.record())): self.record()} if mapping else {})
+        return mapping | (
+            {str(Path(self.build_lib, self.record())): self.record()} if mapping else {}
+        )
 
     def build_extension(self, ext: Extension) -> None:
         """Compile a module, with FLAGS if the compiler is gcc or clang."""
@@ -114,7 +139,9 @@ def has_to_translate_all(made: Path, now: str) -> bool:
         return True
     other = {*now.splitlines()} - {*made.read_text(encoding="utf-8").splitlines()}
     changed = [PACKAGE / line.rpartition(" ")[2] for line in other]
-    return any(not path.exists() or path.stat().st_mtime <= made.stat().st_mtime for path in changed)
+    return any(
+        not path.exists() or path.stat().st_mtime <= made.stat().st_mtime for path in changed
+    )
 
 
 def extensions() -> list[Extension]:
@@ -127,7 +154,9 @@ def extensions() -> list[Extension]:
     if os.environ.get("PAFOT_PURE", "") not in ("", "0"):
         return []
     found = [
-        Extension(".".join(path.relative_to(ROOT).parts), [f"{path.relative_to(ROOT).as_posix()}.py"])
+        Extension(
+            ".".join(path.relative_to(ROOT).parts), [f"{path.relative_to(ROOT).as_posix()}.py"]
+        )
         for path in KERNEL["typed"](*KERNEL["FOLDERS"])
     ]
     made, now = Path(BUILD, "translated.txt"), f"{SOURCES}{DIRECTIVES} {__version__}\n"
@@ -181,7 +210,9 @@ def long_description(readme: str, address: str | None, version: str) -> str:
     if address is None:
         return LINK.sub(lambda link: "" if link[1] else link[2], DRAWN.sub("", readme))
     text, raw = (f"{address.rstrip('/')}/{kind}/v{version}" for kind in ("blob", "raw"))
-    linked = LINK.sub(lambda link: f"{link[1]}[{link[2]}]({raw if link[1] else text}/{link[3]})", readme)
+    linked = LINK.sub(
+        lambda link: f"{link[1]}[{link[2]}]({raw if link[1] else text}/{link[3]})", readme
+    )
     return SOURCE.sub(rf'\1="{raw}/\2"', linked)
 
 
@@ -193,7 +224,9 @@ if __name__ == "__main__":
             ext_modules=extensions(),
             cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
             long_description=long_description(
-                Path("README.md").read_text(encoding="utf-8"), project["urls"].get("Source"), project["version"]
+                Path("README.md").read_text(encoding="utf-8"),
+                project["urls"].get("Source"),
+                project["version"],
             ),
             long_description_content_type="text/markdown",
         )

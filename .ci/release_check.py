@@ -34,7 +34,8 @@ NOT_PACKED = {".gitignore"}
 """The files of the repository that the source distribution omits."""
 README_FILES = ("test_cruise.py",)
 PERMISSIVE = re.compile(
-    r"MIT|BSD|Apache|MPL|Mozilla|LGPL|Lesser|PSF|Python Software Foundation|ISC|HPND|Zlib|CC0|0BSD", re.IGNORECASE
+    r"MIT|BSD|Apache|MPL|Mozilla|LGPL|Lesser|PSF|Python Software Foundation|ISC|HPND|Zlib|CC0|0BSD",
+    re.IGNORECASE,
 )
 """A pattern for licences that impose no obligations on dependent projects. All dependencies must have one of them."""
 LICENCES = """
@@ -65,8 +66,15 @@ def expect(holds: object, otherwise: str) -> None:
 
 def environment(program: object) -> dict[str, str]:
     """Return the variables for a program in a virtual environment, without those that affect Python or pytest."""
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTEST_ADDOPTS", "CI")}
-    return kept | {"PATH": f"{Path(str(program)).parent}{os.pathsep}{kept['PATH']}", "PYTHONUNBUFFERED": "1"}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "PYTEST_ADDOPTS", "CI")
+    }
+    return kept | {
+        "PATH": f"{Path(str(program)).parent}{os.pathsep}{kept['PATH']}",
+        "PYTHONUNBUFFERED": "1",
+    }
 
 
 def run(*command: object, cwd: Path = ROOT) -> str:
@@ -80,7 +88,10 @@ def run(*command: object, cwd: Path = ROOT) -> str:
         words, cwd=cwd, env=environment(words[0]), text=True, capture_output=True, check=False
     )
     told = done.stdout + done.stderr
-    expect(not done.returncode, f"`{' '.join(words)}` exited with {done.returncode}\n" + last_lines(told))
+    expect(
+        not done.returncode,
+        f"`{' '.join(words)}` exited with {done.returncode}\n" + last_lines(told),
+    )
     return told
 
 
@@ -100,17 +111,27 @@ def venv(folder: Path, python: object, *packages: object) -> Path:
 
 def one_version() -> str:
     """Check that the version is the same in every file."""
-    places = {"pytest_pafot/__init__.py": r'__version__ = "(.+)"', "CITATION.cff": r"(?m)^version: (.+)$"}
+    places = {
+        "pytest_pafot/__init__.py": r'__version__ = "(.+)"',
+        "CITATION.cff": r"(?m)^version: (.+)$",
+    }
     for path, pattern in places.items():
         found = re.search(pattern, (ROOT / path).read_text(encoding="utf-8"))
         told = found and found[1]
-        expect(told == VERSION, f"{path}: expected version {VERSION}, as in pyproject.toml, received {told}")
+        expect(
+            told == VERSION,
+            f"{path}: expected version {VERSION}, as in pyproject.toml, received {told}",
+        )
     return VERSION
 
 
 def dated_changelog() -> str:
     """Check that the changelog starts with this version and its release date."""
-    heading = next(line for line in (ROOT / "docs/changelog.md").read_text("utf-8").splitlines() if line[:3] == "## ")
+    heading = next(
+        line
+        for line in (ROOT / "docs/changelog.md").read_text("utf-8").splitlines()
+        if line[:3] == "## "
+    )
     expected = rf"## {re.escape(VERSION)} - \d{{4}}-\d\d-\d\d"
     expect(
         re.fullmatch(expected, heading),
@@ -133,10 +154,16 @@ def public_address() -> str:
 def clean_tree() -> str:
     """Check that all changes are committed, and that the release's tag does not exist or names this commit."""
     changed = run("git", "status", "--porcelain")
-    expect(not changed, f"expected a clean working tree, received changes:\n{last_lines(changed)}\n    Commit them.")
+    expect(
+        not changed,
+        f"expected a clean working tree, received changes:\n{last_lines(changed)}\n    Commit them.",
+    )
     tag, head = f"v{VERSION}", run("git", "rev-parse", "HEAD").strip()
     at = run("git", "tag", "--list", tag, "--format=%(objectname) %(*objectname)")
-    expect(not at or head in at, f"expected no tag {tag} on another commit, received one. Increase the version.")
+    expect(
+        not at or head in at,
+        f"expected no tag {tag} on another commit, received one. Increase the version.",
+    )
     return head
 
 
@@ -149,8 +176,15 @@ def source_distribution(tools: Path, out: Path, scratch: Path) -> str:
     (unpacked,) = scratch.glob("pytest_pafot-*")
     unpacked.rename(scratch / "source")
     listed = run("git", "ls-files").splitlines()
-    missing = [name for name in listed if name not in NOT_PACKED and not (scratch / "source" / name).exists()]
-    expect(not missing, f"MANIFEST.in omits {', '.join(missing[:5])} ({len(missing)} in total). Include these files.")
+    missing = [
+        name
+        for name in listed
+        if name not in NOT_PACKED and not (scratch / "source" / name).exists()
+    ]
+    expect(
+        not missing,
+        f"MANIFEST.in omits {', '.join(missing[:5])} ({len(missing)} in total). Include these files.",
+    )
     return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB, {len(listed)} files"
 
 
@@ -162,10 +196,18 @@ def shown_on_an_index(tools: Path, source: Path) -> str:
     page.write_text(str(told.get_payload()), encoding="utf-8")
     links = re.findall(r'(?:href|src)="([^"]*)"', run(tools, "-W", "error", "-c", render, page))
     beside = [link for link in links if not link.startswith(("https://", "#", "mailto:"))]
-    expect(not beside, f"expected only absolute links in the README, received {', '.join(beside)}. Correct setup.py.")
-    known = "import sys, trove_classifiers as t; print(*(set(sys.argv[1:]) - t.classifiers), sep='; ')"
+    expect(
+        not beside,
+        f"expected only absolute links in the README, received {', '.join(beside)}. Correct setup.py.",
+    )
+    known = (
+        "import sys, trove_classifiers as t; print(*(set(sys.argv[1:]) - t.classifiers), sep='; ')"
+    )
     unknown = run(tools, "-c", known, *told.get_all("Classifier", [])).strip()
-    expect(not unknown, f"expected classifiers that PyPI knows, received {unknown}. Correct pyproject.toml.")
+    expect(
+        not unknown,
+        f"expected classifiers that PyPI knows, received {unknown}. Correct pyproject.toml.",
+    )
     return f"{len(links)} absolute links, {len(told.get_all('Classifier', []))} classifiers"
 
 
@@ -177,10 +219,20 @@ def pure_wheel(tools: Path, source: Path, out: Path) -> str:
     finally:
         del os.environ["PAFOT_PURE"]
     path = out / f"{PACKAGE}-{VERSION}-py3-none-any.whl"
-    expect(path.exists(), f"expected {path.name}, received {', '.join(each.name for each in out.glob('*.whl'))}")
+    expect(
+        path.exists(),
+        f"expected {path.name}, received {', '.join(each.name for each in out.glob('*.whl'))}",
+    )
     with zipfile.ZipFile(path) as archive:
-        compiled = [name for name in archive.namelist() if name.endswith((".so", ".pyd", ".so.txt", ".pyd.txt"))]
-    expect(not compiled, f"expected no compiled modules in the wheel for all systems, received {', '.join(compiled)}")
+        compiled = [
+            name
+            for name in archive.namelist()
+            if name.endswith((".so", ".pyd", ".so.txt", ".pyd.txt"))
+        ]
+    expect(
+        not compiled,
+        f"expected no compiled modules in the wheel for all systems, received {', '.join(compiled)}",
+    )
     return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB"
 
 
@@ -205,30 +257,50 @@ def contents(path: Path) -> str:
     """Check that a wheel contains the assets and a compiled form of each module with a .pxd file, but no tests."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
-        told = read_metadata(archive.read(next(name for name in names if name.endswith("/METADATA"))))
-    typed = [each.relative_to(ROOT).with_suffix("") for each in (ROOT / "pytest_pafot").rglob("*.pxd")]
+        told = read_metadata(
+            archive.read(next(name for name in names if name.endswith("/METADATA")))
+        )
+    typed = [
+        each.relative_to(ROOT).with_suffix("") for each in (ROOT / "pytest_pafot").rglob("*.pxd")
+    ]
     plain = [f"{each.as_posix()}." for each in typed]
-    uncompiled = [each for each in plain if not any(n.startswith(each) and n.endswith((".so", ".pyd")) for n in names)]
+    uncompiled = [
+        each
+        for each in plain
+        if not any(n.startswith(each) and n.endswith((".so", ".pyd")) for n in names)
+    ]
     expect(
         not uncompiled,
         f"expected compiled modules, received none for {', '.join(uncompiled)}. Is a C compiler installed?",
     )
     records = [name for name in names if name.endswith((".so.txt", ".pyd.txt"))]
-    expect(len(records) == 1, f"expected one record of the compiled sources, received {records or 'none'}")
+    expect(
+        len(records) == 1,
+        f"expected one record of the compiled sources, received {records or 'none'}",
+    )
     assets = [
-        each for each in (ROOT / "pytest_pafot/report/assets").iterdir() if each.suffix in (".css", ".js", ".html")
+        each
+        for each in (ROOT / "pytest_pafot/report/assets").iterdir()
+        if each.suffix in (".css", ".js", ".html")
     ]
     wanted = ["pytest_pafot/py.typed", *(each.relative_to(ROOT).as_posix() for each in assets)]
     wanted += ["pytest_pafot/example_ads/idm_mobil.py", "pytest_pafot/example_ads/ppo/actor.npz"]
     missing = [each for each in wanted if each not in names]
     expect(not missing, f"the wheel does not contain {', '.join(missing)}")
-    tests = [each for each in names if re.search(r"(^|/)(tests?|docs|build|conftest\.py|test_[^/]*\.py)(/|$)", each)]
+    tests = [
+        each
+        for each in names
+        if re.search(r"(^|/)(tests?|docs|build|conftest\.py|test_[^/]*\.py)(/|$)", each)
+    ]
     expect(not tests, f"the wheel must not contain {', '.join(tests)}")
     expect(
         told["License-Expression"] == PROJECT["license"],
         f"expected the licence {PROJECT['license']}, received {told['License-Expression']}",
     )
-    expect(any(name.endswith("/licenses/LICENSE") for name in names), "the wheel does not contain the licence text")
+    expect(
+        any(name.endswith("/licenses/LICENSE") for name in names),
+        "the wheel does not contain the licence text",
+    )
     return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB, {len(plain)} compiled modules"
 
 
@@ -255,10 +327,19 @@ def first_find(python: Path, path: Path, folder: Path) -> str:
             found = found or ("pafot: found" in line and time.monotonic()) or None
     ended = time.monotonic()
     saved = [*folder.rglob("*.pafot.yaml")]
-    expect(process.returncode == 1 and found and saved, f"expected a finding, received none\n{last_lines(told)}")
+    expect(
+        process.returncode == 1 and found and saved,
+        f"expected a finding, received none\n{last_lines(told)}",
+    )
     compiled = "from pytest_pafot.world import kernel; print(kernel.is_compiled())"
-    expect("True" in run(python, "-c", compiled, cwd=folder), "the installed kernel is not compiled")
-    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors" if hasattr(os, "getloadavg") else ""
+    expect(
+        "True" in run(python, "-c", compiled, cwd=folder), "the installed kernel is not compiled"
+    )
+    load = (
+        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
+        if hasattr(os, "getloadavg")
+        else ""
+    )
     seconds = f"installation {installed - began:.0f} s, first finding after {(found or ended) - installed:.1f} s"
     return f"{seconds}, end after {ended - installed:.1f} s, {load}"
 
@@ -266,14 +347,19 @@ def first_find(python: Path, path: Path, folder: Path) -> str:
 def readme_files() -> dict[str, str]:
     """Return the contents of the files in the README's example, by name."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    return {name: re.findall(rf"```python\n# {name}\n(.*?)```", readme, re.DOTALL)[0] for name in README_FILES}
+    return {
+        name: re.findall(rf"```python\n# {name}\n(.*?)```", readme, re.DOTALL)[0]
+        for name in README_FILES
+    }
 
 
 def licences(python: Path) -> str:
     """Check that all installed packages have a permissive licence."""
     told = [line.partition("\t")[::2] for line in run(python, "-c", LICENCES).splitlines()]
     odd = [f"{name}: {words or 'none'}" for name, words in told if not PERMISSIVE.search(words)]
-    expect(not odd, f"expected permissive licences, received {'; '.join(odd)}. Review these licences.")
+    expect(
+        not odd, f"expected permissive licences, received {'; '.join(odd)}. Review these licences."
+    )
     return f"{len(told)} packages"
 
 
@@ -282,7 +368,11 @@ def tests(python: Path, source: Path) -> str:
     run(python, "-m", "pip", "install", "-q", "pytest-xdist")
     folder = source.with_name(f"tests-of-{python.parts[-3]}")
     shutil.copytree(source, folder, ignore=shutil.ignore_patterns(PACKAGE, "build"))
-    return run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=folder).strip().splitlines()[-1]
+    return (
+        run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=folder)
+        .strip()
+        .splitlines()[-1]
+    )
 
 
 def documents(python: Path, path: Path, source: Path) -> str:
@@ -306,7 +396,10 @@ def checked(name: str, test: Callable[..., object], *given: object) -> bool:
 
 def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
     """Run all checks, and return whether each passed. If a wheel cannot be built, skip the checks of this wheel."""
-    done = [checked(each.__name__.replace("_", " "), each) for each in (one_version, dated_changelog, public_address)]
+    done = [
+        checked(each.__name__.replace("_", " "), each)
+        for each in (one_version, dated_changelog, public_address)
+    ]
     done.append(checked("clean tree", clean_tree))
     tools, source = venv(scratch / "tools", sys.executable, *TOOLS), scratch / "source"
     done.append(checked("source distribution", source_distribution, tools, out, scratch))
@@ -326,7 +419,12 @@ def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
         done.append(checked("tests of the installed package", tests, clean, source))
         if number == 0:
             done.append(checked("documents", documents, clean, path, source))
-    done.append(checked("twine check", lambda: run(tools, "-m", "twine", "check", "--strict", *sorted(out.iterdir()))))
+    done.append(
+        checked(
+            "twine check",
+            lambda: run(tools, "-m", "twine", "check", "--strict", *sorted(out.iterdir())),
+        )
+    )
     return done
 
 
@@ -334,9 +432,14 @@ def main() -> int:
     """Run all checks and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--python", nargs="+", default=[sys.executable], help="build and test a wheel with each of these Pythons"
+        "--python",
+        nargs="+",
+        default=[sys.executable],
+        help="build and test a wheel with each of these Pythons",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="save the packages in this new folder")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="save the packages in this new folder"
+    )
     given = parser.parse_args()
     if given.out is not None and given.out.exists():
         parser.error(f"--out: expected a folder that does not exist yet, received {given.out}")

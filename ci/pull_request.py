@@ -17,12 +17,16 @@ def run(task, **given):
     with subprocess.Popen(["sh", SCRIPT, task, *sys.argv[1:]], **given) as process:
         for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: process.send_signal(number))
-    return process.returncode if 0 <= process.returncode < 128 else sys.exit(abs(process.returncode))
+    return (
+        process.returncode if 0 <= process.returncode < 128 else sys.exit(abs(process.returncode))
+    )
 
 
 def failures_of_base(there, environ):
     """Install and search BASE in its checkout. Return its failures, or a requirement that it does not meet."""
-    if environ.get("REQUIREMENTS"):  # What BASE requires takes precedence over what is already installed.
+    if environ.get(
+        "REQUIREMENTS"
+    ):  # What BASE requires takes precedence over what is already installed.
         own, outer = there / ".pafot-venv", sysconfig.get_path("purelib")
         venv.create(own, with_pip=True, symlinks=True)
         also = Path(sysconfig.get_path("purelib", vars={"base": str(own)}), "outer.pth")
@@ -37,23 +41,33 @@ def failures_of_base(there, environ):
 
 
 there, copies, base = Path(sys.argv.pop(1)), [], f"BASE={os.environ['BASE']}"
-known = failures_of_base(there, {name: text for name, text in os.environ.items() if not name.startswith("GITHUB_")})
+known = failures_of_base(
+    there, {name: text for name, text in os.environ.items() if not name.startswith("GITHUB_")}
+)
 if isinstance(known, str):
     print(
         f"pafot.sh: expected {base} to be a commit {known}, received the error above. Fix it or set another BASE.",
         file=sys.stderr,
     )
     sys.exit(2)
-for each in known:  # The search does not report copied failures as new. Do not copy failures of removed tests.
+for each in (
+    known
+):  # The search does not report copied failures as new. Do not copy failures of removed tests.
     file, (test, _, name) = each["file"], each["test"].partition("::")
     root = next(at for at in (there, *there.parents) if (at / file).is_file())  # pytest's rootdir
     copy, test = (Path(os.path.relpath(root / path, there)) for path in (file, test))
-    is_there = test.is_file() and f"def {name.partition('[')[0].rpartition('::')[2]}(" in test.read_text("utf-8")
+    is_there = (
+        test.is_file()
+        and f"def {name.partition('[')[0].rpartition('::')[2]}(" in test.read_text("utf-8")
+    )
     if is_there and not copy.exists():
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes((root / file).read_bytes())
         copies.append(copy)
-print(f"pafot.sh: accepted {len(known)} failure{'s' * (len(known) != 1)} already present in {base}", flush=True)
+print(
+    f"pafot.sh: accepted {len(known)} failure{'s' * (len(known) != 1)} already present in {base}",
+    flush=True,
+)
 sys.argv += [f"--deselect={each['node_id']}" for each in known]
 try:
     sys.exit(run("search"))

@@ -52,9 +52,14 @@ myst_links_external_new_tab = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-napoleon_custom_sections = [("Attributes", "params_style"), ("Keys", "params_style")]  # one list, like arguments
+napoleon_custom_sections = [
+    ("Attributes", "params_style"),
+    ("Keys", "params_style"),
+]  # one list, like arguments
 default_role = "code"  # in a docstring `name` is code, as in Markdown
-nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a docstring names, see closest()
+nitpick_ignore_regex = [
+    ("py:.*", ".*")
+]  # types of other libraries; what a docstring names, see closest()
 
 _PICTURE = re.compile(
     r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'
@@ -83,8 +88,12 @@ def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
 
 def themed(app: Sphinx, docname: str, content: list[str]) -> None:
     """Make pictures follow the page's switch between light and dark, and replace a live picture by its report page."""
-    content[0] = _LIVE.sub('<iframe class="report" src="finding.html" title="A report page"></iframe>', content[0])
-    content[0] = _PICTURE.sub(r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0])
+    content[0] = _LIVE.sub(
+        '<iframe class="report" src="finding.html" title="A report page"></iframe>', content[0]
+    )
+    content[0] = _PICTURE.sub(
+        r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0]
+    )
 
 
 def indexed(app: Sphinx, docname: str, content: list[str]) -> None:
@@ -110,12 +119,16 @@ def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
         content[0] = text.replace("](docs/", "](../")
 
 
-def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
+def skipped(
+    app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object
+) -> bool | None:
     """Skip members that only compiled classes have; the docstring of the class lists them."""
     return True if inspect.isgetsetdescriptor(thing) or inspect.ismemberdescriptor(thing) else None
 
 
-def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+def linked(
+    app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]
+) -> None:
     """Turn the pages that a docstring names into links, list columns, and stop napoleon from reading types."""
     lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if what == "property":
@@ -124,13 +137,19 @@ def linked(app: Sphinx, what: str, name: str, thing: object, options: object, li
         lines += ["", *(f"- ``{column}``: {text}" for column, text in thing.items())]
 
 
-def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Node | None:
+def closest(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement
+) -> nodes.Node | None:
     """Return a link for a short name in a docstring, if exactly one object on the pages has this name."""
     if node.get("refdomain") != "py":
         return None
     domain, last = env.domains.python_domain, f".{node['reftarget'].rpartition('.')[2]}"
     # An object that is imported elsewhere has several names, but only one place.
-    found = {(entry.docname, entry.node_id) for name, entry in domain.objects.items() if f".{name}".endswith(last)}
+    found = {
+        (entry.docname, entry.node_id)
+        for name, entry in domain.objects.items()
+        if f".{name}".endswith(last)
+    }
     if len(found) != 1:
         return None
     ((docname, place),) = found
@@ -163,17 +182,27 @@ def found(app: Sphinx, exception: Exception | None) -> None:
     text = _FIRST_FIND.read_text(encoding="utf-8")
     before, command, _ = re.split(r"^\$ pytest (.*)$", text, maxsplit=1, flags=re.MULTILINE)
     python = [sys.executable, "-m", "pytest", *shlex.split(command)]
-    plugins = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "PYTEST_ADDOPTS": ""}
+    plugins = {
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "PYTEST_PLUGINS": "pytest_pafot.plugin",
+        "PYTEST_ADDOPTS": "",
+    }
     variables = {**os.environ, "PYTHONPATH": str(ROOT), **plugins}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch, "my-planner")  # the page names it
         folder.mkdir()
-        for name, content in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", before, re.MULTILINE | re.DOTALL):
+        for name, content in re.findall(
+            r"^```python\n# (\S+)\n(.*?)^```$", before, re.MULTILINE | re.DOTALL
+        ):
             Path(folder, name).write_text(content, encoding="utf-8")
-        done = subprocess.run(python, cwd=folder, env=variables, capture_output=True, text=True, check=False)  # noqa: S603
+        done = subprocess.run(  # noqa: S603
+            python, cwd=folder, env=variables, capture_output=True, text=True, check=False
+        )
         page = Path(folder, "finding.html")
         if not page.is_file():
-            raise ExtensionError(f"{_FIRST_FIND}: expected {page.name} of `pytest {command}`, received {done.stdout}")
+            raise ExtensionError(
+                f"{_FIRST_FIND}: expected {page.name} of `pytest {command}`, received {done.stdout}"
+            )
         shutil.copyfile(page, Path(app.outdir) / _FIRST_FIND.relative_to(DOCS).with_name(page.name))
 
 
@@ -183,7 +212,11 @@ def led(app: Sphinx, exception: Exception | None) -> None:
     Raises:
         ExtensionError: if a link leads nowhere.
     """
-    pages = [Path(app.outdir, f"{name}.html").resolve() for name in app.env.found_docs] if exception is None else []
+    pages = (
+        [Path(app.outdir, f"{name}.html").resolve() for name in app.env.found_docs]
+        if exception is None
+        else []
+    )
     texts = {page: page.read_text(encoding="utf-8") for page in pages}
     places = {page: set(re.findall(r'\sid="([^"]*)"', text)) for page, text in texts.items()}
     dead = [
@@ -193,7 +226,9 @@ def led(app: Sphinx, exception: Exception | None) -> None:
         if place not in places.get((page.parent / target).resolve() if target else page, {place})
     ]
     if dead:
-        raise ExtensionError("links to places that their pages do not have:\n" + "\n".join(sorted(set(dead))))
+        raise ExtensionError(
+            "links to places that their pages do not have:\n" + "\n".join(sorted(set(dead)))
+        )
 
 
 def setup(app: Sphinx) -> None:
@@ -203,7 +238,9 @@ def setup(app: Sphinx) -> None:
         ExtensionError: if a page to be found by a word does not exist.
     """
     if gone := [page for page in _SEARCHED if not (DOCS / f"{page}.md").is_file()]:
-        raise ExtensionError(f"_SEARCHED: expected pages of {DOCS}, received {', '.join(gone)}; was a page renamed?")
+        raise ExtensionError(
+            f"_SEARCHED: expected pages of {DOCS}, received {', '.join(gone)}; was a page renamed?"
+        )
     for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
     app.connect("doctree-read", placed)

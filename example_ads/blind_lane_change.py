@@ -58,7 +58,11 @@ def acceleration(observation: Observation) -> float:
         return max(MAX_ACCELERATION * free, -HARDEST_BRAKING)
     leader = min(ahead, key=lambda other: other.x)
     gap = max(leader.x - ego.x - (leader.length + ego.length) / 2, 0.1)
-    closing = ego.speed * (ego.speed - leader.speed) / (2 * math.sqrt(MAX_ACCELERATION * COMFORTABLE_BRAKING))
+    closing = (
+        ego.speed
+        * (ego.speed - leader.speed)
+        / (2 * math.sqrt(MAX_ACCELERATION * COMFORTABLE_BRAKING))
+    )
     wanted = STANDSTILL_GAP + max(TIME_HEADWAY * ego.speed + closing, 0.0)
     return max(MAX_ACCELERATION * (free - (wanted / gap) ** 2), -HARDEST_BRAKING)
 

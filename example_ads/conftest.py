@@ -28,7 +28,9 @@ def fiss() -> Callable[..., Any]:
 @pytest.fixture
 def expert() -> Callable[..., Any]:
     """Return the factory of MetaDrive's PPO expert. Requires the extra ``metadrive``."""
-    pytest.importorskip("metadrive", reason='requires Python 3.11 and pip install "pytest-pafot[metadrive]"')
+    pytest.importorskip(
+        "metadrive", reason='requires Python 3.11 and pip install "pytest-pafot[metadrive]"'
+    )
     from pytest_pafot.simulators import metadrive  # noqa: PLC0415
 
     return metadrive.expert

@@ -58,7 +58,9 @@ class FissPlanner:
         if observation.ego.x + MAP_RENEWED_AHEAD > self._map_end:
             self._move_map(observation)
         ego = self._ego_state(observation)
-        plan = self._planner.step(observation.time, ego, self._obstacles(observation), observation.speed_limit)
+        plan = self._planner.step(
+            observation.time, ego, self._obstacles(observation), observation.speed_limit
+        )
         command = self._controller.compute(ego, plan.trajectory, 0.0)
         self._action = (float(command.accel), -float(command.steer))
         return self._action

@@ -74,9 +74,15 @@ class CarefulDriver:
         """Record each vehicle's acceleration, since when it is stationary, and whether it lets the ego go first."""
         speeds = {EGO: seen.ego.speed, **{other.id: other.speed for other in seen.crossing}}
         known = speeds.keys() & self.speeds.keys()
-        self.gains = {who: (speeds[who] - self.speeds[who]) / (seen.time - self.time) for who in known}
+        self.gains = {
+            who: (speeds[who] - self.speeds[who]) / (seen.time - self.time) for who in known
+        }
         self.speeds, self.time = speeds, seen.time
-        self.standing = {who: self.standing.get(who, seen.time) for who, speed in speeds.items() if speed < STANDING}
+        self.standing = {
+            who: self.standing.get(who, seen.time)
+            for who, speed in speeds.items()
+            if speed < STANDING
+        }
         waited = {who for who, since in self.standing.items() if seen.time - since >= PATIENCE}
         self.let_go = self.let_go & waited if EGO not in self.standing else waited
 
@@ -84,7 +90,11 @@ class CarefulDriver:
 
     def line(self, seen: Observation) -> float:
         """Return the distance [m] to where the ego must stop, outside all zones; inf if it need not stop."""
-        stops = [other.ego_distance - LINE_GAP for other in self.relevant(seen) if self.waits_for(seen, other)]
+        stops = [
+            other.ego_distance - LINE_GAP
+            for other in self.relevant(seen)
+            if self.waits_for(seen, other)
+        ]
         stop = min([*stops, *self.queues(seen)], default=math.inf)
         for other in sorted(seen.crossing, key=lambda each: -each.ego_distance):
             before = other.ego_distance - LINE_GAP
@@ -148,7 +158,9 @@ class CarefulDriver:
         joining = [
             (other.ego_to_leave - other.to_leave - (other.length + ego.length) / 2, other.speed)
             for other in self.relevant(seen)
-            if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave
+            if other.zone.kind == "merging"
+            and other.is_inside
+            and other.to_leave < other.ego_to_leave
         ]
         return ahead + joining
 

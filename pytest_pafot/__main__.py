@@ -33,7 +33,9 @@ class Command(NamedTuple):
     module: str
     help: str
     about: str
-    is_gate: bool = False  # whether its exit code is a verdict on a policy, so that it has to leave a receipt
+    is_gate: bool = (
+        False  # whether its exit code is a verdict on a policy, so that it has to leave a receipt
+    )
 
 
 # The module of a command is imported only if the command is run.
@@ -80,7 +82,9 @@ COMMANDS = MappingProxyType({
 GATES = tuple(name for name, command in COMMANDS.items() if command.is_gate)
 
 # The signals that a command passes on to its child.
-ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+ENDS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 
 # The environment variable of a child: the id of its parent, and the folder for its receipt.
 DRIVES = "PYTEST_PAFOT_DRIVES"
@@ -95,11 +99,15 @@ def main_in_child(arguments: list[str]) -> int:
         parent, _, folder = told.partition(":")
         from pytest_pafot.support.process import bound_to  # noqa: PLC0415
 
-        bound_to(int(parent), signal.SIGTERM)  # on other systems, it continues if its parent is killed
+        bound_to(
+            int(parent), signal.SIGTERM
+        )  # on other systems, it continues if its parent is killed
         try:
             _hold_back(False)
             code = main(arguments)
-        except SystemExit as ended:  # after --help or for invalid arguments; a SystemExit of a policy is caught
+        except (
+            SystemExit
+        ) as ended:  # after --help or for invalid arguments; a SystemExit of a policy is caught
             code = int(ended.code or 0)
         except KeyboardInterrupt:  # while modules are imported
             code = _interrupted(arguments)
@@ -123,7 +131,9 @@ def main_in_child(arguments: list[str]) -> int:
                 child.send_signal(number)
 
     for number in ENDS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # both processes ignore the signals that nohup ignores
+        if (
+            signal.getsignal(number) is not signal.SIG_IGN
+        ):  # both processes ignore the signals that nohup ignores
             signal.signal(number, pass_on)
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         # The same interpreter with the same options.
@@ -202,7 +212,8 @@ def _run(given: list[str]) -> int:
     # The errors that the user can correct. A ChildProcessError means that a worker died.
     errors = (RequestError, FieldError, AdsFactoryError, ChildProcessError)
     parser = argparse.ArgumentParser(
-        prog="python -m pytest_pafot", description="Run a command of pytest-pafot without writing a test."
+        prog="python -m pytest_pafot",
+        description="Run a command of pytest-pafot without writing a test.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     asked = next((each for each in given if not each.startswith("-")), "")
@@ -215,13 +226,21 @@ def _run(given: list[str]) -> int:
         module.add_arguments(parsers[asked])
         parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
-    own = given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
-    bad_use = 4 if asked == "replay" else BAD_USE  # as in pytest, because 2 means that a policy hung
+    own = (
+        given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
+    )
+    bad_use = (
+        4 if asked == "replay" else BAD_USE
+    )  # as in pytest, because 2 means that a policy hung
     try:
-        arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
+        arguments_given, unknown = parser.parse_known_args(
+            given[:own], argparse.Namespace(pytest=given[own + 1 :])
+        )
         if unknown:  # The parser itself would print the usage of all commands.
             which = commands.choices[arguments_given.command]
-            which.error(f"unrecognized arguments: {' '.join(unknown)}. {which.prog} --help lists the options")
+            which.error(
+                f"unrecognized arguments: {' '.join(unknown)}. {which.prog} --help lists the options"
+            )
     except SystemExit as ended:  # after --help, or after an error
         sys.exit(bad_use if ended.code else 0)
     # A character that the encoding of the output does not have must not end a command.
@@ -231,7 +250,9 @@ def _run(given: list[str]) -> int:
         # Policies are imported from the current folder, as in pytest. The folder may have been deleted.
         sys.path.insert(0, str(Path.cwd()))
         try:
-            code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+            code: int = arguments_given.run(
+                arguments_given, ["python", "-m", "pytest_pafot", *given]
+            )
         except errors as error:
             sys.stderr.write(f"{arguments_given.command}: {error}\n")
             code = bad_use
@@ -243,7 +264,9 @@ def _run(given: list[str]) -> int:
             code = bad_use
         sys.stdout.flush()
     except OSError as error:
-        if error.filename is not None:  # neither the current folder nor the standard output has a file name
+        if (
+            error.filename is not None
+        ):  # neither the current folder nor the standard output has a file name
             raise
         return _without_surroundings(arguments_given.command, error)
     return code
@@ -253,8 +276,12 @@ def _without_surroundings(command: str, error: OSError) -> int:
     from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a device, not a path)
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # otherwise, Python fails to flush the rest when it exits
-    if isinstance(error, BrokenPipeError):  # such as `| head`, which has read enough, so this is no error
+        os.dup2(
+            nowhere.fileno(), sys.stdout.fileno()
+        )  # otherwise, Python fails to flush the rest when it exits
+    if isinstance(
+        error, BrokenPipeError
+    ):  # such as `| head`, which has read enough, so this is no error
         return 128 + 13
     expected, fix = "a writable standard output", way_out(error, "or redirect it")
     if isinstance(error, FileNotFoundError):

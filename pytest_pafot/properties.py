@@ -49,16 +49,30 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
     """
     if not isinstance(rules, RssRules):
-        raise TypeError(f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}")
+        raise TypeError(
+            f"rss_distance: expected rules=criticality.RssRules(...), received {rules!r:.80}"
+        )
     # Side by side, the gap across the road counts. For an NPC ahead, the gap along it counts unless it is safe across.
     frame = RoadFrame(run.trace)
-    along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
-    beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
+    along, across = (
+        frame.gap_along - frame.safe_along(rules),
+        frame.gap_across - frame.safe_across(rules),
+    )
+    beyond = np.where(
+        frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))
+    ).T
     is_judged = (~(frame.ahead < 0) | (frame.gap_along.T <= 0)) & frame.is_on_way
     values = np.where(is_judged, beyond, np.inf)
     if values.size and not np.isposinf(values).all():
         npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
-        check(values.min(axis=0), name="gap minus safe distance", at_least=0.0, unit="m", npc=npc, scale=NEAR)
+        check(
+            values.min(axis=0),
+            name="gap minus safe distance",
+            at_least=0.0,
+            unit="m",
+            npc=npc,
+            scale=NEAR,
+        )
 
 
 def comfort(

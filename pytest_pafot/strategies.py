@@ -15,9 +15,28 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from pytest_pafot.model.instructions import SHIFTS, SPEED_STEPS_PER_MPS, Cell, LaneInstruction, PositionInstruction
-from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
-from pytest_pafot.model.vehicle_type import CAR, STYLES, Style, VehicleName, VehicleType, named_vehicles
+from pytest_pafot.model.instructions import (
+    SHIFTS,
+    SPEED_STEPS_PER_MPS,
+    Cell,
+    LaneInstruction,
+    PositionInstruction,
+)
+from pytest_pafot.model.scenario import (
+    EGO_SPEED,
+    GENE_SECONDS,
+    PAPER_SPEED_LIMIT,
+    Chromosome,
+    Scenario,
+)
+from pytest_pafot.model.vehicle_type import (
+    CAR,
+    STYLES,
+    Style,
+    VehicleName,
+    VehicleType,
+    named_vehicles,
+)
 
 if TYPE_CHECKING:
     from pytest_pafot.algorithms.space import Instructions
@@ -63,12 +82,24 @@ def chromosomes(
     Raises:
         ValueError: if no chain is within the bounds.
     """
-    allowed, speeds, lengths = _cells(cells), _speeds(min_speed, max_speed), _bounds("genes", min_genes, max_genes)
+    allowed, speeds, lengths = (
+        _cells(cells),
+        _speeds(min_speed, max_speed),
+        _bounds("genes", min_genes, max_genes),
+    )
     in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
 
     @st.composite
     def build(draw: st.DrawFn) -> Chromosome:
-        return _chains(draw, 1, draw(lengths), starts=allowed, allowed=allowed, speeds=speeds, in_lanes=in_lanes)[0]
+        return _chains(
+            draw,
+            1,
+            draw(lengths),
+            starts=allowed,
+            allowed=allowed,
+            speeds=speeds,
+            in_lanes=in_lanes,
+        )[0]
 
     return build()
 
@@ -111,17 +142,24 @@ def scenarios(
     kinds = named_vehicles(tuple(vehicles))
     if traffic not in STYLES:
         raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, received {traffic!r:.100}")
-    allowed, speeds = _cells(cells), _speeds(max(min_speed, STYLES[traffic].least_speed(max_speed)), max_speed)
+    allowed, speeds = (
+        _cells(cells),
+        _speeds(max(min_speed, STYLES[traffic].least_speed(max_speed)), max_speed),
+    )
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
     if lanes < 1:
         raise ValueError(f"lanes: expected at least 1, received {lanes}")
     if ego_lane is not None and not 0 <= ego_lane < lanes:
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
-    starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
+    starts = {
+        lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)
+    }
     # Examples shrink to the first lane of the list, which should be the one next to the leftmost.
     ordered = sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane))
-    usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
+    usable = [
+        lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs
+    ]
     if not usable:
         raise ValueError(
             f"max_npcs: expected at most one NPC for each cell on the road, received {max_npcs} NPCs for the cells "
@@ -141,7 +179,9 @@ def scenarios(
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=traffic,
-            vehicles=tuple(draw(st.sampled_from(kinds)) if len(kinds) > 1 else kinds[0] for _ in npcs),
+            vehicles=tuple(
+                draw(st.sampled_from(kinds)) if len(kinds) > 1 else kinds[0] for _ in npcs
+            ),
         )
 
     return build()
@@ -169,13 +209,21 @@ def _chains(
     for _ in range(genes - 1):
         # The NPCs move to free cells one after another, so that "stay" is always possible. The order decides which NPC
         # can follow another one along the ring.
-        order = range(on_grid) if on_grid < 2 or not draw(st.booleans()) else reversed(range(on_grid))
+        order = (
+            range(on_grid) if on_grid < 2 or not draw(st.booleans()) else reversed(range(on_grid))
+        )
         for npc in order:
-            moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
+            moves = [
+                held[npc],
+                *(c for c in held[npc].neighbours if c in allowed and c not in held),
+            ]
             held[npc] = draw(st.sampled_from(moves))
         rows.append(list(held))
     columns = zip(*rows, strict=True)
-    return tuple(chain or tuple(PositionInstruction(cell, draw(speeds)) for cell in next(columns)) for chain in lanes)
+    return tuple(
+        chain or tuple(PositionInstruction(cell, draw(speeds)) for cell in next(columns))
+        for chain in lanes
+    )
 
 
 def _in_lanes(
@@ -186,20 +234,26 @@ def _in_lanes(
     chain = st.lists(gene, min_size=min_genes, max_size=max_genes).map(tuple)
     kinds = {"cells": st.none(), "lanes": chain, "both": st.none() | chain}
     if instructions not in kinds:
-        raise ValueError(f"instructions: expected one of {', '.join(kinds)}, received {instructions!r:.100}")
+        raise ValueError(
+            f"instructions: expected one of {', '.join(kinds)}, received {instructions!r:.100}"
+        )
     return kinds[instructions]
 
 
 def _speeds(low: float, high: float) -> SearchStrategy[float]:
     first, last = round(low * SPEED_STEPS_PER_MPS), round(high * SPEED_STEPS_PER_MPS)
     if not 0 <= first <= last:
-        raise ValueError(f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}")
+        raise ValueError(
+            f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}"
+        )
 
     def speed(step: int, exact: bool) -> float:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
         return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
 
-    return st.builds(speed, st.integers(first, last), st.booleans())  # all examples shrink to round speeds
+    return st.builds(
+        speed, st.integers(first, last), st.booleans()
+    )  # all examples shrink to round speeds
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:

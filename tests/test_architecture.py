@@ -9,7 +9,10 @@ from tests.test_layers import HOMES, MODULES, PACKAGE, ROOMS, room_of
 ROOT = PACKAGE.parent
 PAGE = (ROOT / "docs" / "maintain" / "architecture.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-EXPLANATION = "".join(page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "explanation").glob("*.md")))
+EXPLANATION = "".join(
+    page.read_text(encoding="utf-8")
+    for page in sorted((ROOT / "docs" / "explanation").glob("*.md"))
+)
 
 ROOM_ROW = re.compile(r"^\| `(\w+)` \| (.+?) \|(.*)\|$", re.MULTILINE)
 MENTION = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml)|(?:[\w.-]+/)+)(?::([\w.]+))?`")
@@ -21,13 +24,16 @@ def section(heading, page=PAGE):
 
 def rooms_on_the_page():
     return {
-        name: set(re.findall(r"`(\w+)`", libraries)) for name, _, libraries in ROOM_ROW.findall(section("The rooms"))
+        name: set(re.findall(r"`(\w+)`", libraries))
+        for name, _, libraries in ROOM_ROW.findall(section("The rooms"))
     }
 
 
 def mentions():
     """Return files and names on the page, in the explanation, and in the pages for contributors."""
-    return sorted({(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION + CONTRIBUTING)})
+    return sorted(
+        {(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION + CONTRIBUTING)}
+    )
 
 
 def place(path):
@@ -45,14 +51,22 @@ def defined(body):
             names[node.name] = {}
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names |= {each.id: {} for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+            names |= {
+                each.id: {}
+                for target in targets
+                for each in ast.walk(target)
+                if isinstance(each, ast.Name)
+            }
     return names
 
 
 def test_page_lists_the_rooms_in_import_order_and_which_libraries_they_know():
     there = {room_of(path) for path in MODULES}
     assert list(rooms_on_the_page()) == [room for room in ROOMS if room in there]
-    known = {room: {library for library, homes in HOMES.items() if room in homes} for room in rooms_on_the_page()}
+    known = {
+        room: {library for library, homes in HOMES.items() if room in homes}
+        for room in rooms_on_the_page()
+    }
     assert rooms_on_the_page() == known
 
 

@@ -7,7 +7,10 @@ import pytest
 from tests.helpers.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, action, loaded, steps_of
 from tests.helpers.tables import table
 
-COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
+COMMANDS = [
+    'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install',
+    'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"',
+]
 """The commands that ``test_ci_script.py`` tests."""
 
 TASKS = ["install", "replay", "search", "pull-request", "night"]
@@ -35,14 +38,25 @@ def test_action_has_exactly_the_tested_commands_without_github_expressions():
 def test_what_is_found_is_uploaded_whatever_happened():
     last = action()["runs"]["steps"][-1]
     assert (last["uses"], last["if"]) == ("actions/upload-artifact@v4", "always()")
-    assert last["with"]["path"].split() == ["pafot.html", "pafot.json", "pafot.xml", "**/*.pafot.yaml"]
+    assert last["with"]["path"].split() == [
+        "pafot.html",
+        "pafot.json",
+        "pafot.xml",
+        "**/*.pafot.yaml",
+    ]
 
 
 def test_each_input_is_described_used_and_has_default():
     declared = action()["inputs"]
-    conditions = [f"inputs.{name}" for name in re.findall(r"inputs\.([\w-]+)", str([s.get("if") for s in steps()]))]
+    conditions = [
+        f"inputs.{name}"
+        for name in re.findall(r"inputs\.([\w-]+)", str([s.get("if") for s in steps()]))
+    ]
     assert {f"inputs.{name}" for name in declared} == {*expressions(steps()), *conditions}
-    assert all(set(each) == {"description", "default"} and each["description"] for each in declared.values())
+    assert all(
+        set(each) == {"description", "default"} and each["description"]
+        for each in declared.values()
+    )
 
 
 def steps():

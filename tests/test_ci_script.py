@@ -86,7 +86,10 @@ def begun_repository(tmp_path_factory):
     git(folder, "init", "-q", "--bare", "--template=", "-b", "main", "origin.git")
     git(folder, "init", "-q", "--template=", "-b", "main", "clone")
     git(folder / "clone", "remote", "add", "origin", "../origin.git")
-    for name in ("clone", "origin.git"):  # otherwise git checks after each command whether to clean up
+    for name in (
+        "clone",
+        "origin.git",
+    ):  # otherwise git checks after each command whether to clean up
         git(folder / name, "config", "maintenance.auto", "false")
         git(folder / name, "config", "receive.autogc", "false")
     commit(folder / "clone", {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
@@ -97,7 +100,9 @@ def begun_repository(tmp_path_factory):
 @pytest.fixture
 def repository(begun_repository, tmp_path):
     """Return the folder of a clone with one commit, next to the original repository."""
-    shutil.copytree(begun_repository, tmp_path, dirs_exist_ok=True)  # creating a repository takes twenty git processes
+    shutil.copytree(
+        begun_repository, tmp_path, dirs_exist_ok=True
+    )  # creating a repository takes twenty git processes
     return tmp_path / "clone"
 
 
@@ -132,16 +137,25 @@ def test_a_night_keeps_its_finds_and_the_next_one_knows_them(repository, copied,
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
-    inputs = inputs_of("night", "night") | {"runs": "4", "seed": "1", "requirements": "", "options": f"{QUICK} -q"}
+    inputs = inputs_of("night", "night") | {
+        "runs": "4",
+        "seed": "1",
+        "requirements": "",
+        "options": f"{QUICK} -q",
+    }
     found = []
     for folder in (repository, tmp_path / "next"):
         code, printed = run_action(inputs, folder, **copied)
         assert code == 1, printed
-        found.append([finding.file for finding in record_of(folder).findings if finding.status == "new"])
+        found.append(
+            [finding.file for finding in record_of(folder).findings if finding.status == "new"]
+        )
     assert found[0]
     assert not found[1]
     git(repository, "fetch", "-q", "origin", "pafot-finds")
-    assert git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines() == sorted(found[0])
+    assert git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines() == sorted(
+        found[0]
+    )
 
 
 @pytest.fixture
@@ -178,7 +192,9 @@ def test_empty_inputs_are_omitted_and_others_become_options(repository, fake):
 @pytest.mark.parametrize("code", [0, 1, 2, 5])
 def test_the_exit_code_is_that_of_pytest(repository, fake, code):
     for task in ("replay", "search", "night"):
-        ended, printed = shell(f"sh {SCRIPT} {task}", repository, BRANCH="finds", CODE=str(code), **fake)
+        ended, printed = shell(
+            f"sh {SCRIPT} {task}", repository, BRANCH="finds", CODE=str(code), **fake
+        )
         assert ended == code, printed
 
 
@@ -191,25 +207,46 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
 def test_session_passes_only_by_exit_code_in_json(repository, fake, written, received):
     (repository / "pafot.json").write_text('{"exit": 0}')  # a file from an earlier session
     code, printed = shell(
-        f"sh {SCRIPT} night", repository, BRANCH="finds", FINDS_NOW="a", CODE="0", JSON=written, **fake
+        f"sh {SCRIPT} night",
+        repository,
+        BRANCH="finds",
+        FINDS_NOW="a",
+        CODE="0",
+        JSON=written,
+        **fake,
     )
-    assert (code, f"expected the exit code 0 in pafot.json, {received}. Does" in printed) == (2, True), printed
+    assert (code, f"expected the exit code 0 in pafot.json, {received}. Does" in printed) == (
+        2,
+        True,
+    ), printed
     assert "findings were pushed to finds" in printed
 
 
-@pytest.mark.parametrize("leave", ["of_c._exit(0)", "of_c.exit(0)", "atexit.register(of_c._exit, 0)"])
+@pytest.mark.parametrize(
+    "leave", ["of_c._exit(0)", "of_c.exit(0)", "atexit.register(of_c._exit, 0)"]
+)
 def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
     commit(
         repository,
-        {"conftest.py": f"import atexit, ctypes; of_c = ctypes.CDLL(None); {leave}", "json.py": "exit = 0"},
+        {
+            "conftest.py": f"import atexit, ctypes; of_c = ctypes.CDLL(None); {leave}",
+            "json.py": "exit = 0",
+        },
         "A policy",
     )
-    (repository / "test_it.py").write_text("import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n")
+    (repository / "test_it.py").write_text(
+        "import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n"
+    )
     code, printed = shell(f"sh {SCRIPT} replay", repository)
-    assert (code, "pytest exited with 0: expected the exit code 0 in pafot.json" in printed) == (2, True), printed
+    assert (code, "pytest exited with 0: expected the exit code 0 in pafot.json" in printed) == (
+        2,
+        True,
+    ), printed
 
 
-@pytest.mark.parametrize(("shells", "name"), [("bash", "SIGINT"), ("sh", "SIGTERM"), ("bash", "SIGHUP")])
+@pytest.mark.parametrize(
+    ("shells", "name"), [("bash", "SIGINT"), ("sh", "SIGTERM"), ("bash", "SIGHUP")]
+)
 def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, name):
     begins = tmp_path / "begun"
     slow = TEST.replace("npcs=2", "npcs=2, runs=100000").replace(
@@ -218,17 +255,24 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
     commit(repository, {"planner.py": PLANNER, "test_safety.py": slow}, "A planner")
     (tmp_path / "temporary").mkdir()
     own = environment(BRANCH="finds", TMPDIR=str(tmp_path / "temporary"))
-    with begun([shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True) as script:
+    with begun(
+        [shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True
+    ) as script:
         deadline = time.monotonic() + 60.0
         while not begins.exists() and script.poll() is None and time.monotonic() < deadline:
             time.sleep(0.05)
         script.send_signal(getattr(signal, name))
-        rest, _ = script.communicate(timeout=60)  # This also waits for pytest, which uses the same output.
+        rest, _ = script.communicate(
+            timeout=60
+        )  # This also waits for pytest, which uses the same output.
     assert script.returncode == 128 + getattr(signal, name), rest
     assert re.search(
-        r" The search ended early, after \d+ of \d+ runs, because it was interrupted\.", " ".join(rest.split())
+        r" The search ended early, after \d+ of \d+ runs, because it was interrupted\.",
+        " ".join(rest.split()),
     ), rest
-    assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
+    assert not [
+        path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")
+    ]
 
 
 @pytest.mark.parametrize("where", ["argument", "variable"])
@@ -251,12 +295,17 @@ def test_install_adds_requirements_and_package_if_missing(repository, fake):
     shell(f"sh {SCRIPT} install", repository, REQUIREMENTS="needs.txt", **fake)
     assert calls(fake) == ["-m pip install -r needs.txt", "-c import pytest_pafot"]
     code, _ = shell(f"sh {SCRIPT} install", repository, IMPORTS="1", **fake)
-    assert (code, calls(fake)[2:]) == (0, ["-c import pytest_pafot", f"-m pip install {SCRIPT.parent}/.."])
+    assert (code, calls(fake)[2:]) == (
+        0,
+        ["-c import pytest_pafot", f"-m pip install {SCRIPT.parent}/.."],
+    )
 
 
 def test_action_copied_without_package_says_what_to_do(repository, fake, tmp_path):
     shutil.copytree(SCRIPT.parent, tmp_path / "copy" / "ci")
-    code, printed = shell(f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake)
+    code, printed = shell(
+        f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake
+    )
     told = "expected pytest-pafot to be installed, received no package of this name. List it in your requirements file."
     assert (code, told in printed) == (2, True), printed
 
@@ -327,9 +376,14 @@ class TestTheBranch:
 
     @pytest.mark.parametrize(
         ("meanwhile", "kept"),
-        [(f"FINDS_NOW=c sh {SCRIPT} night", ["a", "b", "c"]), ("git push -q origin :pafot-finds", ["a", "b"])],
+        [
+            (f"FINDS_NOW=c sh {SCRIPT} night", ["a", "b", "c"]),
+            ("git push -q origin :pafot-finds", ["a", "b"]),
+        ],
     )
-    def test_findings_reach_a_branch_that_moved_meanwhile(self, repository, fake, tmp_path, meanwhile, kept):
+    def test_findings_reach_a_branch_that_moved_meanwhile(
+        self, repository, fake, tmp_path, meanwhile, kept
+    ):
         self.night(repository, fake, finds="a")
         git(tmp_path, "clone", "-q", "origin.git", "next")
         other = f"cd {repository}; unset MEANWHILE; export CODE=0; {meanwhile}"
@@ -370,9 +424,14 @@ class TestTheBranch:
         self.colleague(repository, "main", {f"{FOLDER}/old.pafot.yaml": "old"})
         git(repository, "pull", "-q", "origin", "main")
         self.night(repository, fake, finds="a")
-        triaged = {f"{FOLDER}/a.pafot.yaml": "a\nxfail: known", f"{FOLDER}/old.pafot.yaml": "old, triaged"}
+        triaged = {
+            f"{FOLDER}/a.pafot.yaml": "a\nxfail: known",
+            f"{FOLDER}/old.pafot.yaml": "old, triaged",
+        }
         self.colleague(repository, "pafot-finds", {**triaged, "NOTES.md": "a note"})
-        self.colleague(repository, "main", {"planner.py": "now", f"{FOLDER}/old.pafot.yaml": "old on main"})
+        self.colleague(
+            repository, "main", {"planner.py": "now", f"{FOLDER}/old.pafot.yaml": "old on main"}
+        )
         theirs = git(repository.parent / "other", "rev-parse", "pafot-finds", "main").splitlines()
         git(repository, "pull", "-q", "origin", "main")
         (repository / "staged").write_text("")
@@ -390,7 +449,9 @@ class TestTheBranch:
 
     def test_finding_deleted_on_the_branch_does_not_return(self, repository, fake):
         self.night(repository, fake, finds="a")
-        self.colleague(repository, "pafot-finds", {"NOTES.md": ""}, remove=[f"{FOLDER}/a.pafot.yaml"])
+        self.colleague(
+            repository, "pafot-finds", {"NOTES.md": ""}, remove=[f"{FOLDER}/a.pafot.yaml"]
+        )
         assert "all findings are already on pafot-finds" in self.night(repository, fake)
         self.night(repository, fake, finds="b")
         assert self.kept(repository) == ["N", "b"]
@@ -410,8 +471,9 @@ class TestTheBranch:
         self.night(repository, fake, finds="a")
         (repository / FOLDER / "a.pafot.yaml").write_text("mine")
         self.colleague(repository, "pafot-finds", {f"{FOLDER}/a.pafot.yaml": "theirs"})
-        assert "the files above keep your uncommitted changes, and pafot-finds keeps its own versions" in self.night(
-            repository, fake
+        assert (
+            "the files above keep your uncommitted changes, and pafot-finds keeps its own versions"
+            in self.night(repository, fake)
         )
         assert (repository / FOLDER / "a.pafot.yaml").read_text() == "mine"
         assert self.on_branch(repository, f"{FOLDER}/a.pafot.yaml") == "theirs"
@@ -430,8 +492,21 @@ class TestTheBranch:
     def test_unsuitable_branch_is_refused_before_the_search(self, repository, fake):
         git(repository, "checkout", "-q", "-b", "here")
         before = git(repository, "ls-remote", "origin")
-        for branch in ("main", "MAIN", "here", "HEAD", "-x", "refs/heads/x", "a b", "fin*", "@{-1}", "$(touch x)"):
-            code, printed = shell(f"sh {SCRIPT} night", repository, BRANCH=branch, FINDS_NOW="a", **fake)
+        for branch in (
+            "main",
+            "MAIN",
+            "here",
+            "HEAD",
+            "-x",
+            "refs/heads/x",
+            "a b",
+            "fin*",
+            "@{-1}",
+            "$(touch x)",
+        ):
+            code, printed = shell(
+                f"sh {SCRIPT} night", repository, BRANCH=branch, FINDS_NOW="a", **fake
+            )
             assert (code, f"received {branch}" in printed) == (2, True), printed
         assert (calls(fake), git(repository, "ls-remote", "origin")) == ([], before)
 
@@ -439,7 +514,10 @@ class TestTheBranch:
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
         inputs = inputs_of("night", "night") | {"requirements": ""}
         code, printed = run_action(inputs, repository, **fake)
-        assert (code, "expected to read pafot-finds from the remote origin" in printed) == (2, True), printed
+        assert (code, "expected to read pafot-finds from the remote origin" in printed) == (
+            2,
+            True,
+        ), printed
         assert not [call for call in calls(fake) if "-m pytest" in call]
 
 

@@ -40,23 +40,44 @@ def calls_of_pytest():
 
 def said():
     """Return the commands of the blocks, and those inside sentences."""
-    return [*commands(), *(shlex.split(text) for text in re.findall(r"`((?:python -m|nox) [^`]*)`", TEXT))]
+    return [
+        *commands(),
+        *(shlex.split(text) for text in re.findall(r"`((?:python -m|nox) [^`]*)`", TEXT)),
+    ]
 
 
 def nox_sessions():
-    functions = [node for node in ast.parse(NOX).body if isinstance(node, ast.FunctionDef) and node.decorator_list]
+    functions = [
+        node
+        for node in ast.parse(NOX).body
+        if isinstance(node, ast.FunctionDef) and node.decorator_list
+    ]
     return {node.name: ast.unparse(node) for node in functions}
 
 
 @pytest.mark.processes
 def test_pytest_knows_every_option_of_a_command():
-    known = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", command_in_a_copy("pytest", "--help", folder=ROOT).out))
-    used = {word.partition("=")[0] for words in calls_of_pytest() for word in words if word.startswith("-")}
+    known = set(
+        re.findall(
+            r"(?<![\w-])--?[a-z][\w-]*", command_in_a_copy("pytest", "--help", folder=ROOT).out
+        )
+    )
+    used = {
+        word.partition("=")[0]
+        for words in calls_of_pytest()
+        for word in words
+        if word.startswith("-")
+    }
     assert used - known == set()
 
 
 def test_every_file_in_a_pytest_command_or_the_quick_part_exists():
-    files = [word.removeprefix("@") for words in calls_of_pytest() for word in words if word.endswith((".py", ".txt"))]
+    files = [
+        word.removeprefix("@")
+        for words in calls_of_pytest()
+        for word in words
+        if word.endswith((".py", ".txt"))
+    ]
     quick = (ROOT / "tests" / "quick.txt").read_text(encoding="utf-8").splitlines()
     assert files
     assert quick
@@ -79,7 +100,9 @@ def test_ci_and_nox_run_every_omitted_stage():
     (*_, chosen) = PYTEST["addopts"]
     left_out = set(re.findall(r"not (\w+)", chosen))
     every = {line.partition(":")[0] for line in PYTEST["markers"]}
-    assert left_out == every - {"optional"}  # which conftest.py leaves out, so that they are not imported
+    assert left_out == every - {
+        "optional"
+    }  # which conftest.py leaves out, so that they are not imported
     (stages,) = re.findall(r'^part python -m pytest .*-m "(.*)"$', CI, re.MULTILINE)
     assert set(stages.split(" or ")) == every
     assert f'STAGES = "{stages}"' in NOX
@@ -89,7 +112,11 @@ def test_ci_and_nox_run_every_omitted_stage():
 def test_same_linters_run_locally_and_in_ci(command):
     words = command.split()
     assert any(each[: len(words)] == words for each in commands())
-    assert any(hook["entry"].startswith(command) for repository in HOOKS["repos"] for hook in repository["hooks"])
+    assert any(
+        hook["entry"].startswith(command)
+        for repository in HOOKS["repos"]
+        for hook in repository["hooks"]
+    )
     assert repr(words)[1:-1] in nox_sessions()["types" if command == "mypy" else "lint"]
     assert re.search(rf"^part {command}\b", CI, re.MULTILINE)
 

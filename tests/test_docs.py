@@ -71,10 +71,14 @@ COMMANDS = {
 
 NEW_FOLDER = "<!-- new folder -->"
 GENERATED = re.compile(r"<!-- generated: ([a-z-]+) -->\n(.*?)<!-- end of generated -->", re.DOTALL)
-FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(
+    r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
-WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\bdecisions took [\d.]+ s|failed, in [\d.]+ s", re.MULTILINE)
+WALL_CLOCK = re.compile(
+    r"\bin [\d.]+s(?= =|$)|\bdecisions took [\d.]+ s|failed, in [\d.]+ s", re.MULTILINE
+)
 SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")
 REFRESH = "PAFOT_REFRESH"
 CORPUS_NAME = re.compile(r"([a-z0-9-]+)-[0-9a-f]{6}(?=\.pafot\.yaml|\])")
@@ -101,7 +105,11 @@ def place(document):
 
 def blocks_of(text):
     return [
-        Block(tuple((found[1] or "").split(" | ")) if found[1] else (), found[2], *found[3].partition("\n")[::2])
+        Block(
+            tuple((found[1] or "").split(" | ")) if found[1] else (),
+            found[2],
+            *found[3].partition("\n")[::2],
+        )
         for found in FENCE.finditer(text)
     ]
 
@@ -111,7 +119,9 @@ def stories():
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
-                absent = [name for name in NEEDS.findall(part) if importlib.util.find_spec(name) is None]
+                absent = [
+                    name for name in NEEDS.findall(part) if importlib.util.find_spec(name) is None
+                ]
                 marks = [pytest.mark.skip(reason=f"needs {name}") for name in absent]
                 yield pytest.param(document, part, id=f"{place(document)}-{number}", marks=marks)
 
@@ -130,7 +140,9 @@ def pattern(text, varying):
         elif found[0].startswith("==="):
             parts.append("=+")
         elif NUMBER.fullmatch(found[0]) and varying(found.start()):
-            parts.append(r"[0-9a-f]{6}" if len(found[0]) == 6 and "." not in found[0] else r"[\d.]+")
+            parts.append(
+                r"[0-9a-f]{6}" if len(found[0]) == 6 and "." not in found[0] else r"[\d.]+"
+            )
         else:
             parts.append(re.escape(found[0]))
     return re.compile("".join(parts))
@@ -146,19 +158,29 @@ def compared(text, varies):
 
 def check_output(block, printed):
     """Check a block against the printed output. Return it as it should be."""
-    printed = re.sub(r"(\bin [\d.]+s) \(\d+:\d\d:\d\d\)", r"\1", printed)  # pytest adds it after the first minute
+    printed = re.sub(
+        r"(\bin [\d.]+s) \(\d+:\d\d:\d\d\)", r"\1", printed
+    )  # pytest adds it after the first minute
     position, right = 0, block.rest
     for part in re.split(r"^\.\.\.$", block.rest, flags=re.MULTILINE):
         found = compared(part, block.varies).search(printed, position)
         near = found or pattern(part, lambda _: True).search(printed, position)
         if found is None:
-            advice = f"with PAFOT_REFRESH=1 the document has:\n{near[0]}" if near else "edit the document by hand"
+            advice = (
+                f"with PAFOT_REFRESH=1 the document has:\n{near[0]}"
+                if near
+                else "edit the document by hand"
+            )
             if near is None or not os.environ.get(REFRESH):
-                pytest.fail(f"the document says, in this order:\n{part}\n{advice}\n\nall that is printed:\n{printed}")
+                pytest.fail(
+                    f"the document says, in this order:\n{part}\n{advice}\n\nall that is printed:\n{printed}"
+                )
             right = right.replace(part.strip(), near[0], 1)
         position = near.end()
     if block.language == "console" and not block.rest.rstrip().endswith("..."):
-        assert not printed[position:].strip(), f"the document ends before what is printed does:\n{printed[position:]}"
+        assert not printed[position:].strip(), (
+            f"the document ends before what is printed does:\n{printed[position:]}"
+        )
     return right
 
 
@@ -166,7 +188,9 @@ def check_end(block, result):
     """Check that a pytest sample ends with the last printed line, the summary, and agrees with the exit status."""
     last = block.rest.rstrip().rpartition("\n")[2]
     summary = SUMMARY.fullmatch(last)
-    assert summary, f"expected {block.first} to end with a summary line such as `2 passed in 0.4s`, not with: {last}"
+    assert summary, (
+        f"expected {block.first} to end with a summary line such as `2 passed in 0.4s`, not with: {last}"
+    )
     assert result.ret == (1 if re.search(r"\b(failed|errors?)\b", summary[1]) else 0)
 
 
@@ -213,7 +237,9 @@ class Folder:
 
     @property
     def ids(self):
-        return sorted(path.name.removesuffix(".pafot.yaml") for path in self.path.rglob("*.pafot.yaml"))
+        return sorted(
+            path.name.removesuffix(".pafot.yaml") for path in self.path.rglob("*.pafot.yaml")
+        )
 
     def with_own_ids(self, text):
         """Replace the digits of saved scenarios in a text by those of this machine."""
@@ -226,7 +252,9 @@ class Folder:
         return CORPUS_NAME.sub(own, text)
 
     def command(self, block):
-        assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
+        assert block.first.startswith("$ "), (
+            f"a console block that does not begin with a command: {block.first}"
+        )
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if [program, *arguments[:2]] == ["python", "-m", "pytest_pafot"]:
             with pytest.MonkeyPatch.context() as patch:  # replay starts pytest
@@ -238,14 +266,20 @@ class Folder:
         if program in ("python", "git"):
             with pytest.MonkeyPatch.context() as patch:  # git bisect starts pytest
                 patch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
-                patch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
-                done = self.pytester.run(sys.executable if program == "python" else program, *arguments)
+                patch.setenv(
+                    "PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+                )
+                done = self.pytester.run(
+                    sys.executable if program == "python" else program, *arguments
+                )
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return
         assert program == "pytest", block.first
         # unraisableexception collects all garbage at the end of each session, which is slow and not needed here.
-        result = in_process(self.pytester, "-p", "pafot", "-p", "no:unraisableexception", *arguments)
+        result = in_process(
+            self.pytester, "-p", "pafot", "-p", "no:unraisableexception", *arguments
+        )
         self.compare(block, result.stdout.str())
         check_end(block, result)
 
@@ -269,10 +303,16 @@ def folder(pytester, monkeypatch, document):
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     for name in ("AUTHOR", "COMMITTER"):  # so that a commit always has the same hash
-        for what, value in {"NAME": "Ann", "EMAIL": "ann@example.org", "DATE": "2026-10-05T09:00:00+0000"}.items():
+        for what, value in {
+            "NAME": "Ann",
+            "EMAIL": "ann@example.org",
+            "DATE": "2026-10-05T09:00:00+0000",
+        }.items():
             monkeypatch.setenv(f"GIT_{name}_{what}", value)
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # other installed plugins may print and warn
+    monkeypatch.setenv(
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
+    )  # other installed plugins may print and warn
     return Folder(pytester, document)
 
 
@@ -297,12 +337,24 @@ def test_samples_have_the_right_types(tmp_path):
             for path, text in files.items():
                 file = tmp_path / f"story_{number}_{version}" / path
                 file.parent.mkdir(parents=True, exist_ok=True)
-                inside = re.sub(rf"^from ({own}) import", r"from .\1 import", text, flags=re.MULTILINE)
-                file.write_text(re.sub(rf"^import ({own})$", r"from . import \1", inside, flags=re.MULTILINE), "utf-8")
-    options = ["--check-untyped-defs", "--ignore-missing-imports", "--explicit-package-bases", "--config-file="]
+                inside = re.sub(
+                    rf"^from ({own}) import", r"from .\1 import", text, flags=re.MULTILINE
+                )
+                file.write_text(
+                    re.sub(rf"^import ({own})$", r"from . import \1", inside, flags=re.MULTILINE),
+                    "utf-8",
+                )
+    options = [
+        "--check-untyped-defs",
+        "--ignore-missing-imports",
+        "--explicit-package-bases",
+        "--config-file=",
+    ]
     command = [sys.executable, "-m", "mypy", *options, f"--cache-dir={os.devnull}", "."]
     environ = {**os.environ, "MYPYPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -337,7 +389,9 @@ def test_numbers_are_compared_except_times_and_named_ones_up_to_the_end():
 def test_different_number_fails_and_says_how_to_refresh(old, new, monkeypatch):
     monkeypatch.delenv(REFRESH, raising=False)
     (block,) = blocks_of(SAMPLE)
-    with pytest.raises(pytest.fail.Exception, match=f"(?s)the document says.*{old}.*with PAFOT_REFRESH=1 .*{new}"):
+    with pytest.raises(
+        pytest.fail.Exception, match=f"(?s)the document says.*{old}.*with PAFOT_REFRESH=1 .*{new}"
+    ):
         check_output(block, PRINTED.replace(old, new))
 
 
@@ -355,7 +409,11 @@ def test_pytest_sample_ends_with_summary_matching_exit_status(rest, code, holds)
 
 
 def test_every_block_says_its_language():
-    languages = [(place(document), block.language) for document in DOCUMENTS for block in blocks_of(text_of(document))]
+    languages = [
+        (place(document), block.language)
+        for document in DOCUMENTS
+        for block in blocks_of(text_of(document))
+    ]
     assert [each for each in languages if each[1] not in RUN | NOT_RUN] == []
 
 
@@ -365,7 +423,9 @@ def test_readme_has_commands_to_install_and_run():
 
 
 def tool(name):
-    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / "tools" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(
+        f"docs_{name}", ROOT / "docs" / "tools" / f"{name}.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -374,7 +434,9 @@ def tool(name):
 def test_the_reference_is_as_the_code_has_it():
     module = tool("generate")
     for page in module.REFERENCE:
-        assert module.generated(text_of(page)) == text_of(page), "run: python docs/tools/generate.py"
+        assert module.generated(text_of(page)) == text_of(page), (
+            "run: python docs/tools/generate.py"
+        )
     present = [name for name, _ in GENERATED.findall("".join(map(text_of, module.REFERENCE)))]
     assert sorted(present) == sorted(module.sections())
 
@@ -396,7 +458,10 @@ def test_measured_tables_have_one_place_and_agree_with_their_files():
 
 def test_reference_has_a_row_for_every_option():
     module = tool("generate")
-    tables, grouped = module.sections(), [name for names in module.OPTION_GROUPS.values() for name in names]
+    tables, grouped = (
+        module.sections(),
+        [name for names in module.OPTION_GROUPS.values() for name in names],
+    )
     assert sorted(grouped) == sorted(option.name for option in OPTIONS)
     rows = [row for group in module.OPTION_GROUPS for row in tables[group].splitlines()[2:]]
     for name, row in zip(grouped, rows, strict=True):
@@ -426,7 +491,9 @@ def test_no_help_names_a_file_of_the_documentation(command, capsys):
 
 def test_example_of_a_corpus_file_can_be_read():
     (example,) = (
-        block for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/files.md")) if name == "example-file"
+        block
+        for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/files.md"))
+        if name == "example-file"
     )
     content = example.removeprefix("```yaml\n").removesuffix("```\n")
     finding = parsed(Path("front-2-1f3a9c.pafot.yaml"), content.encode())
@@ -452,12 +519,18 @@ def test_the_moving_picture_shows_what_its_sample_finds(tmp_path):
 
 
 def test_every_page_that_code_names_exists():
-    code = [path for room in ("pytest_pafot", "tests", "docs", "example_ads") for path in (ROOT / room).rglob("*.py")]
+    code = [
+        path
+        for room in ("pytest_pafot", "tests", "docs", "example_ads")
+        for path in (ROOT / room).rglob("*.py")
+    ]
     named = {name for path in code for name in re.findall(r"\bdocs/[\w/-]+\.md\b", text_of(path))}
     assert named
     assert {name for name in named if not (ROOT / name).is_file()} == set()
     titles = {text_of(document).partition("\n")[0].removeprefix("# ") for document in DOCUMENTS}
-    assert {title for path in code for title in re.findall(r'\bpage "([^"{]+)"', text_of(path))} <= titles
+    assert {
+        title for path in code for title in re.findall(r'\bpage "([^"{]+)"', text_of(path))
+    } <= titles
 
 
 def test_every_page_is_listed_in_one_index():
@@ -472,9 +545,15 @@ def test_every_page_is_listed_in_one_index():
 def test_site_has_every_public_name_and_package():
     pages = "".join(map(text_of, (ROOT / "docs" / "api").glob("*.rst")))
     modules = re.findall(r"^\.\. automodule:: (\S+)", pages, re.MULTILINE)
-    lists = [path for path in (ROOT / "pytest_pafot").glob("*/__init__.py") if "__all__ = " in text_of(path)]
+    lists = [
+        path
+        for path in (ROOT / "pytest_pafot").glob("*/__init__.py")
+        if "__all__ = " in text_of(path)
+    ]
     assert {f"pytest_pafot.{path.parent.name}" for path in lists} <= set(modules)
-    names = {name for each in modules for name in getattr(importlib.import_module(each), "__all__", ())}
+    names = {
+        name for each in modules for name in getattr(importlib.import_module(each), "__all__", ())
+    }
     names |= {each.removeprefix("pytest_pafot.") for each in modules}
     names |= set(re.findall(r"^\.\. auto\w+:: pytest_pafot\.(\w+)$", pages, re.MULTILINE))
     assert set(pytest_pafot.__all__) <= names
@@ -495,7 +574,9 @@ def anchors(document):
 def links():
     """Yield every link and picture inside the repository, with its document."""
     for document in DOCUMENTS:
-        for target in re.findall(r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))):
+        for target in re.findall(
+            r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))
+        ):
             if "://" not in target:
                 yield document, target
 
@@ -508,7 +589,9 @@ def leads_somewhere(document, target):
 
 def test_every_link_inside_of_the_repository_leads_somewhere():
     assert [
-        f"{place(document)}: {target}" for document, target in links() if not leads_somewhere(document, target)
+        f"{place(document)}: {target}"
+        for document, target in links()
+        if not leads_somewhere(document, target)
     ] == []
 
 
@@ -532,7 +615,8 @@ def workflows():
 def test_searching_job_has_more_time_than_its_searches():
     for workflow in workflows():
         commands = {
-            name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()
+            name: " ".join(step.get("run", "") for step in job["steps"])
+            for name, job in workflow["jobs"].items()
         }
         searching = {name: text for name, text in commands.items() if "--pafot-runs=0" not in text}
         assert searching

@@ -29,8 +29,13 @@ def installed(tmp_path_factory):
     strict = ["-W", "error", "-W", "ignore:the imp module is deprecated:DeprecationWarning"]
     subprocess.run([sys.executable, *strict, "-c", BUILD, scratch, lib], cwd=ROOT, check=True)
     package = lib / "pytest_pafot"
-    for source, copy in ((ROOT / "pytest_pafot", package), (ROOT / "example_ads", package / "example_ads")):
-        for compiled in source.rglob("*.pyc"):  # the same files have the same code, and compiling takes seconds
+    for source, copy in (
+        (ROOT / "pytest_pafot", package),
+        (ROOT / "example_ads", package / "example_ads"),
+    ):
+        for compiled in source.rglob(
+            "*.pyc"
+        ):  # the same files have the same code, and compiling takes seconds
             place = copy / compiled.relative_to(source)
             if place.parents[1].is_dir():
                 place.parent.mkdir(exist_ok=True)
@@ -52,7 +57,9 @@ def run(installed, folder, *arguments):
 def test_package_contains_every_example_policy_and_no_tests(installed):
     assert [path.name for path in installed.iterdir()] == ["pytest_pafot"]
     examples = installed / "pytest_pafot" / "example_ads"
-    source = {path.relative_to(ROOT / "example_ads") for path in (ROOT / "example_ads").rglob("*.py")}
+    source = {
+        path.relative_to(ROOT / "example_ads") for path in (ROOT / "example_ads").rglob("*.py")
+    }
     there = {path.relative_to(examples) for path in examples.rglob("*.py")}
     assert source - there == {Path("conftest.py"), Path("test_safety.py")}
     assert not there - source
@@ -60,8 +67,13 @@ def test_package_contains_every_example_policy_and_no_tests(installed):
 
 def test_documented_policies_are_installed_and_importable_anywhere(installed, tmp_path):
     documents = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md")]
-    shown = "\n".join(each for text in documents for each in re.findall(r"```.*?```|`[^`]+`", text, re.DOTALL))
-    named = {*re.findall(r"--ads\s+([a-z][\w.:-]+)", shown), *re.findall(r"`(example_ads\.\w+:[\w:-]+)`", shown)}
+    shown = "\n".join(
+        each for text in documents for each in re.findall(r"```.*?```|`[^`]+`", text, re.DOTALL)
+    )
+    named = {
+        *re.findall(r"--ads\s+([a-z][\w.:-]+)", shown),
+        *re.findall(r"`(example_ads\.\w+:[\w:-]+)`", shown),
+    }
     of_documents = ("policy", "planner", "test_policy", "test_safety")  # their files
     names = sorted(name for name in named if name.split(":")[0] not in of_documents)
     assert "example_ads.defects:make:two-defects" in names

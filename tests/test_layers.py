@@ -205,7 +205,11 @@ def test_a_library_is_known_only_to_its_rooms():
 
 
 def test_only_one_module_imports_highway_env_because_it_postpones_plot_and_table_libraries():
-    importers = [path for path in MODULES if any(name.split(".")[0] == "highway_env" for name in imported_names(path))]
+    importers = [
+        path
+        for path in MODULES
+        if any(name.split(".")[0] == "highway_env" for name in imported_names(path))
+    ]
     assert importers == [PACKAGE / "world" / "stock.py"]
 
 
@@ -228,18 +232,30 @@ def test_no_route_climbs_more_often_than_before(tmp_path):
         env={name: value for name, value in os.environ.items() if name != "CI"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    floor = floors(arrows_of_the_package()) | {"pytest_pafot": sys.maxsize}  # it imports what it is asked for
+    floor = floors(arrows_of_the_package()) | {
+        "pytest_pafot": sys.maxsize
+    }  # it imports what it is asked for
     wrong = []
     for route in ROUTES:
         calls = json.loads((tmp_path / f"{route}.json").read_text())
-        names = [(*(module_name(PACKAGE / file) if file else "" for file in files), each) for *files, each in calls]
+        names = [
+            (*(module_name(PACKAGE / file) if file else "" for file in files), each)
+            for *files, each in calls
+        ]
         found, most = climbs(names, floor), CLIMBS[route]
         print(f"{route}: {len({called for _, called, _ in names})} files, {len(found)} climbs")
         if len(found) > most:
-            new = "\n".join(f"    {pair}: {', '.join(sorted(functions))}" for pair, functions in sorted(found.items()))
-            wrong.append(f"{route}: {len(found)} climbs, at most {most} are allowed; remove the new ones of\n{new}")
+            new = "\n".join(
+                f"    {pair}: {', '.join(sorted(functions))}"
+                for pair, functions in sorted(found.items())
+            )
+            wrong.append(
+                f"{route}: {len(found)} climbs, at most {most} are allowed; remove the new ones of\n{new}"
+            )
         if len(found) < most:
-            wrong.append(f"{route}: {len(found)} climbs, fewer than {most}: lower the number in CLIMBS")
+            wrong.append(
+                f"{route}: {len(found)} climbs, fewer than {most}: lower the number in CLIMBS"
+            )
     assert not wrong, "\n".join(wrong)
 
 

@@ -32,7 +32,9 @@ def absent(code):
     """Return the libraries and the files of clones that a program needs and that are not here."""
     libraries = set(re.findall(r"^(?:from|import) (\w+)", code, re.MULTILINE))
     missing = sorted(each for each in libraries if importlib.util.find_spec(each) is None)
-    return missing + [each for each in re.findall(r'load\("(.*?)"', code) if not (CLONES / each).exists()]
+    return missing + [
+        each for each in re.findall(r'load\("(.*?)"', code) if not (CLONES / each).exists()
+    ]
 
 
 def test_ten_policies_have_a_picture_three_sentences_and_a_short_program_of_their_own():
@@ -51,10 +53,14 @@ def test_failure_happens_with_the_numbers_of_its_sentences(name):
     if missing := absent(code):
         pytest.skip(f"needs {', '.join(missing)}")
     command = [sys.executable, "-c", WITHOUT_PICTURES + code if "metadrive" in code else code]
-    done = subprocess.run(command, cwd=CLONES, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(
+        command, cwd=CLONES, capture_output=True, text=True, check=False, timeout=300
+    )
     printed = done.stdout.strip().rpartition("\n")[2]
     assert done.returncode == 0, done.stderr
-    assert f"<title>{printed}</title>" in (ROOT / f"docs/explanation/others/{name}.svg").read_text(encoding="utf-8")
+    assert f"<title>{printed}</title>" in (ROOT / f"docs/explanation/others/{name}.svg").read_text(
+        encoding="utf-8"
+    )
     measured = {each for each in numbers(said) if each not in numbers(code)}
     assert measured <= numbers(printed), printed
     assert numbers(printed) & numbers(said)

@@ -56,7 +56,10 @@ def test_readme_without_address_loses_links_but_no_text(long_description):
     assert targets(shown) == []
     assert "<picture>" not in shown
     assert fences(shown) == fences(README)
-    assert "test policies for highway-env, networks and\nprograms, and policies in your own simulator" in shown
+    assert (
+        "test policies for highway-env, networks and\nprograms, and policies in your own simulator"
+        in shown
+    )
 
 
 def test_absolute_and_internal_links_stay_unchanged(long_description):
@@ -75,7 +78,9 @@ JUDGED = {
 
 def test_every_classifier_has_something_that_makes_it_true(check):
     entries = PROJECT["entry-points"]
-    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]["build"]
+    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "cibuildwheel"
+    ]["build"]
     true = {
         "Development Status :: 4 - Beta": PROJECT["version"].startswith("0."),
         "Framework :: Pytest": "pytest11" in entries,
@@ -84,10 +89,16 @@ def test_every_classifier_has_something_that_makes_it_true(check):
         in check["TOOLS"],  # builds wheels for this Python and runs tests with them
         "Typing :: Typed": (ROOT / "pytest_pafot" / "py.typed").is_file(),
         # A classifier says that tests ran with a Python. A wheel is built for one more, see docs/explanation/search.md.
-        **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels if name != "cp314-*"},
+        **{
+            f"Programming Language :: Python :: 3.{name[3:-2]}": True
+            for name in wheels
+            if name != "cp314-*"
+        },
     }
     assert {*PROJECT["classifiers"]} - JUDGED == {name for name, holds in true.items() if holds}
-    assert not [each for each in PROJECT["classifiers"] if each.startswith("License ::")], "the expression says it"
+    assert not [each for each in PROJECT["classifiers"] if each.startswith("License ::")], (
+        "the expression says it"
+    )
 
 
 def test_the_version_is_one_wherever_it_stands(check):
@@ -107,15 +118,22 @@ def test_a_release_has_its_day_in_the_changelog(check, tmp_path, monkeypatch, he
         assert check["dated_changelog"]() == f"## {heading}"
     else:
         with pytest.raises(
-            check["NotYetError"], match=f"expected `## 0.1.0 - ` and the release date, received `## {heading}`"
+            check["NotYetError"],
+            match=f"expected `## 0.1.0 - ` and the release date, received `## {heading}`",
         ):
             check["dated_changelog"]()
 
 
-@pytest.mark.parametrize("address", ["", "https://example.org/owner/name", "http://host.test/owner/name"])
+@pytest.mark.parametrize(
+    "address", ["", "https://example.org/owner/name", "http://host.test/owner/name"]
+)
 def test_release_requires_a_real_public_repository_address(check, monkeypatch, address):
-    monkeypatch.setitem(check["public_address"].__globals__, "PROJECT", {"urls": {"Source": address}})
-    with pytest.raises(check["NotYetError"], match=r"expected the repository's public address as Source"):
+    monkeypatch.setitem(
+        check["public_address"].__globals__, "PROJECT", {"urls": {"Source": address}}
+    )
+    with pytest.raises(
+        check["NotYetError"], match=r"expected the repository's public address as Source"
+    ):
         check["public_address"]()
 
 
@@ -127,8 +145,14 @@ LICENCE = "pytest_pafot-0.1.0.dist-info/licenses/LICENSE"
 def members():
     """Return the members of a correct wheel."""
     assets = ("css", "html", "js")
-    compiled = [each.relative_to(ROOT).with_suffix(".abi.so") for each in ROOT.glob("pytest_pafot/**/*.pxd")]
-    data = [each.relative_to(ROOT) for kind in assets for each in ROOT.glob(f"pytest_pafot/report/assets/*.{kind}")]
+    compiled = [
+        each.relative_to(ROOT).with_suffix(".abi.so") for each in ROOT.glob("pytest_pafot/**/*.pxd")
+    ]
+    data = [
+        each.relative_to(ROOT)
+        for kind in assets
+        for each in ROOT.glob(f"pytest_pafot/report/assets/*.{kind}")
+    ]
     examples = ["pytest_pafot/example_ads/idm_mobil.py", "pytest_pafot/example_ads/ppo/actor.npz"]
     names = [each.as_posix() for each in [*compiled, *data]]
     return {**dict.fromkeys([*names, *examples, "pytest_pafot/py.typed", RECORD, LICENCE], "")} | {
@@ -167,7 +191,9 @@ def test_release_check_extracts_the_files_from_readme(check):
     files = check["readme_files"]()
     assert list(files) == ["test_cruise.py"]
     assert "@pafot.search" in files["test_cruise.py"]
-    assert (ROOT / "docs/start/test_cruise.py").read_text().endswith(files["test_cruise.py"].lstrip())
+    assert (
+        (ROOT / "docs/start/test_cruise.py").read_text().endswith(files["test_cruise.py"].lstrip())
+    )
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs locks of POSIX")
@@ -201,10 +227,16 @@ def test_release_workflow_publishes_on_a_tag_what_was_tried_by_files_that_exist(
     assert publish["permissions"] == {"id-token": "write"}
     assert not [name for name, job in jobs.items() if "permissions" in job]
     steps = [step for job in jobs.values() for step in job["steps"]]
-    uploads = [step["with"]["name"] for step in steps if step.get("uses", "").startswith("actions/upload-artifact")]
+    uploads = [
+        step["with"]["name"]
+        for step in steps
+        if step.get("uses", "").startswith("actions/upload-artifact")
+    ]
     assert all(name.startswith("packages-") for name in uploads)
     assert publish["steps"][0]["with"]["pattern"] == "packages-*"
-    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
+    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "cibuildwheel"
+    ]
     commands = [step.get("run", "") for step in workflow["jobs"]["try"]["steps"]]
     assert "rm -r pytest_pafot setup.py" in commands
     assert "pytest_pafot" not in wheels["test-sources"]
@@ -214,4 +246,6 @@ def test_release_workflow_publishes_on_a_tag_what_was_tried_by_files_that_exist(
     for path in ["pytest_pafot", "setup.py", "tests/quick.txt", *wheels["test-sources"], *named]:
         assert (ROOT / path).exists()
     assert 'os.environ.get("PAFOT_PURE"' in (ROOT / "setup.py").read_text(encoding="utf-8")
-    assert {"PAFOT_PURE": "1"} in [step.get("env") for step in workflow["jobs"]["any-system"]["steps"]]
+    assert {"PAFOT_PURE": "1"} in [
+        step.get("env") for step in workflow["jobs"]["any-system"]["steps"]
+    ]

@@ -43,7 +43,11 @@ def following(gap, *, speed=20.0, leader=20.0):
 
 def test_every_property_is_listed_as_public():
     assert "properties" in pafot.__all__
-    own = {name for name, each in vars(properties).items() if getattr(each, "__module__", "") == properties.__name__}
+    own = {
+        name
+        for name, each in vars(properties).items()
+        if getattr(each, "__module__", "") == properties.__name__
+    }
     assert set(properties.__all__) == {name for name in own if not name.startswith("_")}
 
 
@@ -74,14 +78,19 @@ def test_rss_margin_is_gap_minus_safe_distance(speed, leader, safe, beyond):
 
 
 def test_exactly_the_safe_distance_is_enough():
-    assert only(properties.rss_distance, following(12.0 + 12.0 - 9.0, speed=12.0, leader=12.0)).value == 0.0
+    assert (
+        only(properties.rss_distance, following(12.0 + 12.0 - 9.0, speed=12.0, leader=12.0)).value
+        == 0.0
+    )
     assert only(properties.rss_distance, following(15.0, speed=12.0, leader=12.0)).holds
 
 
 def test_side_by_side_it_is_the_gap_across():
     # 2 m, less 0.1 m, and twice the way of a second of 0.2 m/s^2 and of braking with 0.8 m/s^2
     abreast = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(1.0, LEFT, speed=20.0))
-    assert only(properties.rss_distance, abreast).value == pytest.approx(2.0 - 0.1 - 2 * (0.1 + 0.04 / 1.6))
+    assert only(properties.rss_distance, abreast).value == pytest.approx(
+        2.0 - 0.1 - 2 * (0.1 + 0.04 / 1.6)
+    )
     nearer = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-1.0, 1.7, speed=20.0))
     assert only(properties.rss_distance, nearer).value == pytest.approx(0.3 - 0.35)
 
@@ -106,7 +115,9 @@ def test_other_rules_ask_for_other_distances():
     intel = RssRules()
     # 1 s of speeding up with 3.5 m/s^2, then braking with 4 m/s^2; the leader brakes with 8 m/s^2
     safe = 20 + 3.5 / 2 + 23.5**2 / 8 - 400 / 16
-    assert only(properties.rss_distance, following(60.0), rules=intel).value == pytest.approx(60.0 - safe)
+    assert only(properties.rss_distance, following(60.0), rules=intel).value == pytest.approx(
+        60.0 - safe
+    )
 
 
 # Comfort.
@@ -136,12 +147,21 @@ def test_jerk_is_the_mean_of_one_second(step, holds):
 def test_brief_jerk_does_not_count_in_full():
     ego = driven(0.0)
     ego[60, ACCELERATION], ego[61:, ACCELERATION] = -2.0, 0.0
-    assert only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON).value == pytest.approx(
-        2.0
-    )
+    assert only(
+        properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON
+    ).value == pytest.approx(2.0)
     names = [made.name for made in judged(properties.comfort, trace_of(ego, driven(FARTHER)))]
     assert names == ["jerk", "braking", "lateral acceleration", "lateral jerk"]
-    assert judged(properties.comfort, trace_of(ego, driven(FARTHER)), jerk=None, braking=None, **STRAIGHT_ON) == []
+    assert (
+        judged(
+            properties.comfort,
+            trace_of(ego, driven(FARTHER)),
+            jerk=None,
+            braking=None,
+            **STRAIGHT_ON,
+        )
+        == []
+    )
 
 
 def turning(rates, speed=20.0):
@@ -173,7 +193,9 @@ def test_gradual_lateral_acceleration_is_no_jerk(seconds, holds):
 
 def test_what_a_bend_of_the_road_takes_counts():
     """On a circle of 100 m, at 20 m/s, every vehicle has 4 m/s^2 sideways."""
-    made = only(properties.comfort, turning(np.full(200, 20.0 / 100.0)), lateral_jerk=None, **ONLY_SIDEWAYS)
+    made = only(
+        properties.comfort, turning(np.full(200, 20.0 / 100.0)), lateral_jerk=None, **ONLY_SIDEWAYS
+    )
     assert made.value == pytest.approx(400.0 / 100.0)
 
 
@@ -184,7 +206,11 @@ def on_empty_road(ads, *, speed, seconds):
     return pafot.Highway(duration=seconds).rollout(scenario, lambda: ads)
 
 
-@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from([0.0, 10.0, 27.0])), min_size=9, max_size=9))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 3), st.sampled_from([0.0, 10.0, 27.0])), min_size=9, max_size=9
+    )
+)
 def test_lane_changes_by_drive_are_laterally_comfortable(goals):
     """However hard it brakes and speeds up while it does, at whatever speed."""
 
@@ -193,12 +219,17 @@ def test_lane_changes_by_drive_are_laterally_comfortable(goals):
         return pafot.LaneCommand(lane=lane, speed=speed)
 
     trace = on_empty_road(decide, speed=27.0, seconds=40)
-    assert [made.holds for made in judged(properties.comfort, trace, **ONLY_SIDEWAYS)] == [True, True]
+    assert [made.holds for made in judged(properties.comfort, trace, **ONLY_SIDEWAYS)] == [
+        True,
+        True,
+    ]
 
 
 @table("left_out", ["lateral_acceleration", "lateral_jerk"])
 def test_policy_that_jerks_the_wheel_is_uncomfortable(left_out):
-    trace = on_empty_road(lambda now: (0.0, 0.03 if int(now.time) % 2 else -0.03), speed=25.0, seconds=3)
+    trace = on_empty_road(
+        lambda now: (0.0, 0.03 if int(now.time) % 2 else -0.03), speed=25.0, seconds=3
+    )
     assert not only(properties.comfort, trace, **ONLY_SIDEWAYS, **{left_out: None}).holds
 
 
@@ -206,7 +237,9 @@ def test_policy_that_jerks_the_wheel_is_uncomfortable(left_out):
 
 
 @table("heading", [0.0, 0.7])
-@table(("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)])
+@table(
+    ("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)]
+)
 def test_stays_on_road_measures_distance_to_nearer_edge(y, to_edge, heading):
     x, across = -y * np.sin(heading), y * np.cos(heading)
     ego = vehicle(x, across, heading=heading, speed=20.0, lane=1)
@@ -240,7 +273,9 @@ def left_the_road():
 
 ODD = {
     "one tick": lambda: following(10.0),
-    "two ticks": lambda: trace_of(vehicle(0.0, OWN, speed=20.0, ticks=1), vehicle(30.0, OWN, ticks=1)),
+    "two ticks": lambda: trace_of(
+        vehicle(0.0, OWN, speed=20.0, ticks=1), vehicle(30.0, OWN, ticks=1)
+    ),
     "off the road": left_the_road,
     "an error of the ADS": broken_ads,
     "nobody ahead": lambda: trace_of(driven(0.0), driven(-30.0)),
@@ -266,7 +301,10 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
     for _ in range(30):
         trace = world.rollout_reference(sample(SearchSpace(genes=2), rng), "careful-human")
         run = world.run_of(trace)
-        hard = [((npc.acceleration < -5) & (run.leader == index)).any() for index, npc in enumerate(run.npcs)]
+        hard = [
+            ((npc.acceleration < -5) & (run.leader == index)).any()
+            for index, npc in enumerate(run.npcs)
+        ]
         is_quiet = run.min_ttc > 3 and run.headway.min() > 1.4 and not any(hard)
         quiet += is_quiet
         for name in properties.__all__:
@@ -284,7 +322,9 @@ def test_comfort_refuses_negative_or_non_finite_arguments(argument):
 
 
 def test_rules_of_another_kind_are_refused():
-    with pytest.raises(TypeError, match=r"expected rules=criticality.RssRules\(\.\.\.\), received 2\.0"):
+    with pytest.raises(
+        TypeError, match=r"expected rules=criticality.RssRules\(\.\.\.\), received 2\.0"
+    ):
         properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
 
 

@@ -29,7 +29,9 @@ def changed(repository, copied):  # noqa: F811
         base = git(repository, "rev-parse", "HEAD")
         commit(repository, change, "Change")
         own = {"runs": "4", "seed": "1", "requirements": "", "options": "--pafot-shrink-runs=0"}
-        given = inputs_of("pull-request", "pull-request", {"github.event.pull_request.base.sha": base})
+        given = inputs_of(
+            "pull-request", "pull-request", {"github.event.pull_request.base.sha": base}
+        )
         code, printed = run_action(given | own | inputs, repository, **copied)
         assert git(repository, "worktree", "list").count("\n") == 0
         return code, printed
@@ -46,7 +48,9 @@ def test_a_harmful_change_is_red_for_what_is_new(repository, changed):  # noqa: 
 
 
 def test_a_harmless_change_is_green_although_both_fail(repository, changed):  # noqa: F811
-    code, printed = changed({"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"# Too fast\n{FAST}"})
+    code, printed = changed(
+        {"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"# Too fast\n{FAST}"}
+    )
     assert code == 0, printed
     assert "accepted 1 failure already present in BASE=" in printed
     assert record_of(repository).searches[0].failing > 0
@@ -55,14 +59,20 @@ def test_a_harmless_change_is_green_although_both_fail(repository, changed):  # 
 
 def test_a_change_that_renames_the_test_leaves_no_files_without_a_test(repository, changed):  # noqa: F811
     renamed = TEST.replace("test_speed", "test_top_speed")
-    code, printed = changed({"planner.py": FAST, "test_safety.py": TEST}, {"test_safety.py": renamed})
+    code, printed = changed(
+        {"planner.py": FAST, "test_safety.py": TEST}, {"test_safety.py": renamed}
+    )
     assert code == 1, printed
-    assert [each.test for each in record_of(repository).findings] == ["test_safety.py::test_top_speed"]
+    assert [each.test for each in record_of(repository).findings] == [
+        "test_safety.py::test_top_speed"
+    ]
     assert record_of(repository).orphans == []
 
 
 def test_a_mended_policy_is_green_and_its_saved_failure_too(repository, changed):  # noqa: F811
-    assert changed({"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"{FAST}\n"})[0] == 0
+    assert (
+        changed({"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"{FAST}\n"})[0] == 0
+    )
     assert changed({"planner.py": FAST}, {"planner.py": SOUND})[0] == 0
 
 
@@ -71,7 +81,14 @@ def test_a_mended_policy_is_green_and_its_saved_failure_too(repository, changed)
      {"requirements": "needs.txt"}, "a commit that can be installed, received the error above"),
     ({"test_safety.py": TEST}, {"planner.py": SOUND}, {}, "a commit whose tests can be run, received the error above"),
 ])  # fmt: skip
-def test_a_base_that_cannot_be_tried_is_an_error_that_says_so(repository, changed, before, change, inputs, told):  # noqa: F811
+def test_a_base_that_cannot_be_tried_is_an_error_that_says_so(
+    repository,  # noqa: F811
+    changed,
+    before,
+    change,
+    inputs,
+    told,
+):
     code, printed = changed(before, change, **inputs)
     assert (code, told in printed) == (2, True), printed
     assert saved(repository) == []

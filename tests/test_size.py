@@ -36,10 +36,16 @@ def docstring_lines(tree: ast.Module) -> set[int]:
         body = getattr(node, "body", None)
         if not isinstance(body, list):
             continue
-        may_begin = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        may_begin = isinstance(
+            node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        )
         for before, each in zip([None, *body], body, strict=False):
-            is_text = isinstance(each, ast.Expr) and isinstance(getattr(each.value, "value", None), str)
-            if is_text and ((before is None and may_begin) or isinstance(before, ast.Assign | ast.AnnAssign)):
+            is_text = isinstance(each, ast.Expr) and isinstance(
+                getattr(each.value, "value", None), str
+            )
+            if is_text and (
+                (before is None and may_begin) or isinstance(before, ast.Assign | ast.AnnAssign)
+            ):
                 lines.update(range(each.lineno, (each.end_lineno or each.lineno) + 1))
     return lines
 
@@ -67,7 +73,9 @@ def code_lines(path: Path) -> int:
         return python_lines(text)
     if path.suffix == ".js":
         return script_lines(text)
-    return sum(bool(line.strip()) and not line.strip().startswith("#") for line in text.splitlines())
+    return sum(
+        bool(line.strip()) and not line.strip().startswith("#") for line in text.splitlines()
+    )
 
 
 def rooms() -> Counter[str]:
@@ -83,7 +91,11 @@ def rooms() -> Counter[str]:
 def test_no_room_has_more_code_lines_than_its_ceiling() -> None:
     may_have = ceilings(CEILINGS.read_text(encoding="utf-8"))
     counted = rooms()
-    above = {name: (lines, may_have.get(name, 0)) for name, lines in counted.items() if lines > may_have.get(name, 0)}
+    above = {
+        name: (lines, may_have.get(name, 0))
+        for name, lines in counted.items()
+        if lines > may_have.get(name, 0)
+    }
     assert not above, f"rooms above their ceilings in tests/size.txt, as (lines, ceiling): {above}"
     gone = {*may_have} - {*counted}
     assert not gone, f"tests/size.txt has ceilings for rooms that do not exist: {gone}"
@@ -92,14 +104,18 @@ def test_no_room_has_more_code_lines_than_its_ceiling() -> None:
 def test_the_sum_of_the_ceilings_only_falls() -> None:
     def git(*arguments: str) -> str:
         try:
-            done = subprocess.run(["git", "-C", ROOT, *arguments], capture_output=True, text=True, check=True)
+            done = subprocess.run(
+                ["git", "-C", ROOT, *arguments], capture_output=True, text=True, check=True
+            )
         except (OSError, subprocess.CalledProcessError) as error:
             pytest.skip(f"needs git and the project's history: {error}")
         return done.stdout
 
     commits = git("log", "-n", "2", "--format=%H", "--", "tests/size.txt").split()
     versions = [git("show", f"{commit}:tests/size.txt") for commit in reversed(commits)]
-    sums = [sum(ceilings(text).values()) for text in [*versions, CEILINGS.read_text(encoding="utf-8")]]
+    sums = [
+        sum(ceilings(text).values()) for text in [*versions, CEILINGS.read_text(encoding="utf-8")]
+    ]
     assert sums == sorted(sums, reverse=True)
 
 

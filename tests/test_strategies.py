@@ -17,7 +17,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TRUCK
 from tests.helpers.tables import table
 
-SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
+SIMPLEST = settings(
+    max_examples=500, phases=[Phase.generate, Phase.shrink]
+)  # no need to explain which parts matter
 
 
 EVERY = st.one_of(
@@ -51,7 +53,9 @@ def test_failing_example_is_printed_so_that_it_can_be_pasted(strategy, text):
 
 
 def test_module_lists_its_public_names_alone():
-    assert [name for name in dir(strategies) if not name.startswith("__")] == sorted(strategies.__all__)
+    assert [name for name in dir(strategies) if not name.startswith("__")] == sorted(
+        strategies.__all__
+    )
 
 
 @given(strategies.chromosomes(min_genes=2, max_genes=9))
@@ -67,7 +71,9 @@ def test_chains_visit_only_the_cells_given(chain):
 
 @given(strategies.scenarios(min_npcs=1, max_npcs=8, lanes=5))
 def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
-    again = Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane, traffic=scenario.traffic)
+    again = Scenario.repaired(
+        scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane, traffic=scenario.traffic
+    )
     assert again == scenario
 
 
@@ -87,11 +93,14 @@ def test_chains_and_scenarios_have_the_wanted_instructions(instructions, kinds):
     drawn = {"chain": set(), "scenario": set()}
 
     @given(
-        strategies.chromosomes(instructions=instructions), strategies.scenarios(min_npcs=2, instructions=instructions)
+        strategies.chromosomes(instructions=instructions),
+        strategies.scenarios(min_npcs=2, instructions=instructions),
     )
     def draw(chain, scenario):
         for name, chains in (("chain", [chain]), ("scenario", scenario.npcs)):
-            drawn[name].add(frozenset(isinstance(gene, LaneInstruction) for each in chains for gene in each))
+            drawn[name].add(
+                frozenset(isinstance(gene, LaneInstruction) for each in chains for gene in each)
+            )
 
     draw()
     for name, seen in drawn.items():
@@ -101,7 +110,11 @@ def test_chains_and_scenarios_have_the_wanted_instructions(instructions, kinds):
 
 def test_failing_change_of_lanes_shrinks_to_one_npc():
     def changes(scenario):
-        return any(isinstance(gene, LaneInstruction) and gene.lane == "right" for npc in scenario.npcs for gene in npc)
+        return any(
+            isinstance(gene, LaneInstruction) and gene.lane == "right"
+            for npc in scenario.npcs
+            for gene in npc
+        )
 
     found = find(strategies.scenarios(max_npcs=4), changes, settings=SIMPLEST)
     assert found.npcs == ((LaneInstruction("right", 0.0),),)
@@ -114,7 +127,9 @@ def test_instructions_respect_the_minimum_speed_of_traffic(scenario):
 
 
 def test_failing_chain_shrinks_to_staying_and_round_speeds():
-    found = find(strategies.chromosomes(min_genes=3), lambda chain: chain[1].speed > 7.35, settings=SIMPLEST)
+    found = find(
+        strategies.chromosomes(min_genes=3), lambda chain: chain[1].speed > 7.35, settings=SIMPLEST
+    )
     assert [int(gene.cell) for gene in found] == [1, 1, 1]
     assert [gene.speed for gene in found] == [0.0, 8.0, 0.0]
 
@@ -122,13 +137,15 @@ def test_failing_chain_shrinks_to_staying_and_round_speeds():
 def test_npcs_may_follow_each_other_around_the_ring():
     def follows(step):
         def both_move(scenario):
-            return all((chain[1].cell - chain[0].cell) % 8 == step % 8 for chain in scenario.npcs) and is_adjacent(
-                scenario.npcs[0][0].cell, scenario.npcs[1][0].cell
-            )
+            return all(
+                (chain[1].cell - chain[0].cell) % 8 == step % 8 for chain in scenario.npcs
+            ) and is_adjacent(scenario.npcs[0][0].cell, scenario.npcs[1][0].cell)
 
         return both_move
 
-    pairs = strategies.scenarios(min_npcs=2, max_npcs=2, min_genes=2, max_genes=2, instructions="cells")
+    pairs = strategies.scenarios(
+        min_npcs=2, max_npcs=2, min_genes=2, max_genes=2, instructions="cells"
+    )
     many = settings(max_examples=5000, phases=[Phase.generate])
     for step, seed in ((1, 1), (-1, 5)):  # these seeds find one soon
         assert find(pairs, follows(step), settings=many, random=random.Random(seed))

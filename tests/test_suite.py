@@ -71,7 +71,12 @@ def test_copy_of_this_process_has_what_a_new_one_has(tmp_path, monkeypatch):
     assert importlib.import_module("planner").__file__ == str(present / "planner.py")
     monkeypatch.setattr(tempfile, "tempdir", str(present))
     command = [sys.executable, "-m", "pytest", "-qs", "-p", "no:cacheprovider", "test_it.py"]
-    own = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "NAME": "a", "TMPDIR": str(other), "PYTHONPATH": str(other)}
+    own = {
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "NAME": "a",
+        "TMPDIR": str(other),
+        "PYTHONPATH": str(other),
+    }
     own["PYTHONDONTWRITEBYTECODE"] = "1"
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     told = []
@@ -79,7 +84,11 @@ def test_copy_of_this_process_has_what_a_new_one_has(tmp_path, monkeypatch):
         reader, writer = os.pipe()
         os.write(writer, b"passed")
         os.close(writer)
-        given = {"cwd": tmp_path, "env": {**os.environ, **own, "PIPE": str(reader)}, "pass_fds": [reader]}
+        given = {
+            "cwd": tmp_path,
+            "env": {**os.environ, **own, "PIPE": str(reader)},
+            "pass_fds": [reader],
+        }
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         with kind(command, start_new_session=True, text=True, **given, **pipes) as process:
             out, err = process.communicate("typed")
@@ -94,7 +103,9 @@ def test_wheels_are_built_for_every_supported_python_and_one_more():
     supported = re.findall(r"Python :: 3\.(\d+)", " ".join(project["project"]["classifiers"]))
     assert project["project"]["requires-python"] == f">=3.{supported[0]}"
     # One more, on which no test has run; docs/explanation/search.md says so, and the classifiers do not name it.
-    assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in [*supported, "14"]]
+    assert project["tool"]["cibuildwheel"]["build"] == [
+        f"cp3{minor}-*" for minor in [*supported, "14"]
+    ]
 
 
 def test_modules_with_equal_names_are_listed_exceptions():

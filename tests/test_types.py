@@ -112,13 +112,27 @@ def test_mypy_finds_each_mistake_and_nothing_else(tmp_path):
     lines = [*HEAD.strip().split("\n"), *(f"    {line}" for line in [*MISTAKES, *RIGHT, *names])]
     (tmp_path / "user.py").write_text("\n".join(lines), encoding="utf-8")
     (tmp_path / "mypy.ini").write_text(CONFIG, encoding="utf-8")
-    command = [sys.executable, "-m", "mypy", f"--cache-dir={os.devnull}", "--no-pretty", "--no-color-output", "user.py"]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        f"--cache-dir={os.devnull}",
+        "--no-pretty",
+        "--no-color-output",
+        "user.py",
+    ]
     environ = {**os.environ, "MYPYPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False
+    )
     said = re.findall(r"^user\.py:(\d+): (\w+): (.*)$", done.stdout, re.MULTILINE)
     wrong = {lines[int(number) - 1].strip() for number, kind, _ in said if kind == "error"}
     assert wrong == set(MISTAKES), done.stdout + done.stderr
-    types = [text.removeprefix("Revealed type is ") for *_, text in said if text.startswith("Revealed type is ")]
+    types = [
+        text.removeprefix("Revealed type is ")
+        for *_, text in said
+        if text.startswith("Revealed type is ")
+    ]
     assert len(types) == len(names) + 2
     assert '"Any"' not in types
     assert types[:2] == [
@@ -140,7 +154,13 @@ def test_names_are_those_that_types_list(typed, names):
 
 
 def test_explore_takes_the_arguments_of_the_mark_and_options_of_sessions():
-    common = SearchArguments.__annotations__.keys() - {"ads", "world", "runs", "generations", "seed"}
+    common = SearchArguments.__annotations__.keys() - {
+        "ads",
+        "world",
+        "runs",
+        "generations",
+        "seed",
+    }
     own = ExploreArguments.__annotations__.keys() - common
     assert common <= ExploreArguments.__annotations__.keys()
     assert not any(BY_NAME[name].is_argument for name in own)

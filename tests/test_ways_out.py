@@ -43,7 +43,10 @@ class Facts(NamedTuple):
 def facts():
     found = Facts([], [])
     for path in sorted(PACKAGE.rglob("*.py")):
-        place, tree = path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+        place, tree = (
+            path.relative_to(PACKAGE).as_posix(),
+            ast.parse(path.read_text(encoding="utf-8")),
+        )
         documents = set()
         for node in ast.walk(tree):
             if isinstance(node, ast.Expr):
@@ -52,7 +55,9 @@ def facts():
                 found.texts.append((place, id(node) in documents, node.value))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 first = node.args[0] if node.args else None
-                found.calls.append((place, node.func.id, first.value if isinstance(first, ast.Constant) else None))
+                found.calls.append(
+                    (place, node.func.id, first.value if isinstance(first, ast.Constant) else None)
+                )
     return found
 
 
@@ -64,10 +69,18 @@ def calls(name):
 def test_messages_name_ways_out_only_by_the_functions():
     texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
     found = [(place, said) for place, text in texts for said in SAID.findall(text)]
-    assert {place for place, _ in found} == {"__main__.py", "searches/options.py", "support/errors.py"}
-    assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
+    assert {place for place, _ in found} == {
+        "__main__.py",
+        "searches/options.py",
+        "support/errors.py",
+    }
+    assert [said for place, said in found if place == "__main__.py"] == [
+        "python -m pytest"
+    ]  # the name of the program
     flags = {option.flag for option in OPTIONS}
-    assert {said for place, said in found if place == "searches/options.py"} <= flags  # texts of help
+    assert {
+        said for place, said in found if place == "searches/options.py"
+    } <= flags  # texts of help
 
 
 def test_every_option_that_messages_name_exists_also_in_search():
@@ -95,7 +108,13 @@ OF_COMMANDS = {
 }
 SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "accept")]}
 """The helps with the options of a command."""
-OF_PYTEST = {"--rootdir", "--collect-only", "--no-header", "--runxfail", "--tb"}  # of the sessions that commands start
+OF_PYTEST = {
+    "--rootdir",
+    "--collect-only",
+    "--no-header",
+    "--runxfail",
+    "--tb",
+}  # of the sessions that commands start
 
 
 def test_every_command_explains_itself(capsys):
@@ -122,8 +141,12 @@ def test_every_option_that_a_command_names_is_its_own(name, capsys):
 
 
 def test_every_package_that_messages_name_exists():
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    named = [name for _, name in calls("install") if name is not None] + list(exporter.EXTRAS.values())
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    named = [name for _, name in calls("install") if name is not None] + list(
+        exporter.EXTRAS.values()
+    )
     assert named
     assert set(named) <= extras.keys()
     assert install("dask") == "pip install 'pytest-pafot[dask]'"
@@ -136,7 +159,10 @@ def test_rerun_repeats_what_has_started_the_session():
     assert told == "python -m pytest_pafot search p:P --runs 4 --pafot-seed=3 -- -q"
     told = rerun(words, {OF_SEARCH: search, OF_REPLAY: "--ads 'p:P:a b'"}, saved="front-1")
     assert told == "python -m pytest_pafot replay front-1 --ads 'p:P:a b'"
-    assert rerun(words, {OF_SEARCH: "python -m pytest_pafot search p:P"}) == "python -m pytest_pafot search p:P"
+    assert (
+        rerun(words, {OF_SEARCH: "python -m pytest_pafot search p:P"})
+        == "python -m pytest_pafot search p:P"
+    )
 
 
 # The commands that messages print are run as they are, in a folder and with names that need quotes.
@@ -165,7 +191,9 @@ RUN_BY = {
 
 def test_every_command_that_messages_name_is_run_here():
     assert {place for place, _ in calls("command")} == RUN_BY.keys()
-    tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    tests = "".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")
+    )
     assert [name for name in RUN_BY.values() if f"def {name}(" not in tests] == []
 
 
@@ -179,7 +207,9 @@ def here(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "500")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
+    monkeypatch.setenv(
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
+    )  # loading other plugins takes as long as a search
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     return folder
 
@@ -188,7 +218,9 @@ def ran(text):
     """Run a command as a shell reads it. Return its exit code and its output."""
     words = shlex.split(text)
     if words[:2] == ["python", "-c"]:
-        done = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, check=False, timeout=120)
+        done = subprocess.run(
+            [sys.executable, *words[1:]], capture_output=True, text=True, check=False, timeout=120
+        )
         return done.returncode, done.stdout + done.stderr
     done = command_in_a_copy(*(words[2:] if words[:2] == ["python", "-m"] else words))
     return done.code, done.out + done.err
@@ -202,7 +234,9 @@ def named_in(text, before):
 
 @pytest.mark.processes
 def test_session_of_search_names_commands_that_work_without_test_files(here, monkeypatch):
-    code, told = ran("python -m pytest_pafot search 'planner:Planner:a b' --seed 2 --runs 4 --pafot-json=j.json")
+    code, told = ran(
+        "python -m pytest_pafot search 'planner:Planner:a b' --seed 2 --runs 4 --pafot-json=j.json"
+    )
     assert code == 1, told
     (file,) = here.rglob("*.pafot.yaml")
     single = named_in(told, "\nreplay ")
@@ -261,7 +295,11 @@ def test_deadly_scenario_is_replayed_by_the_command_that_is_named(here):
     (here / "test_it.py").write_text(f"{deadly}{marked}")
     ran("python -m pytest")
     file = min(here.rglob("*.pafot.yaml"))
-    code, told = ran(shlex.join(["python", "-c", f"import pytest_pafot as p\np.load({str(file)!r}).replay(None)"]))
+    code, told = ran(
+        shlex.join(
+            ["python", "-c", f"import pytest_pafot as p\np.load({str(file)!r}).replay(None)"]
+        )
+    )
     assert code == 1
     code, told = ran(named_in(told, "Run "))
     assert (code, "1 still failing" in told) == (1, True), told

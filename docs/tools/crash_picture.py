@@ -55,7 +55,10 @@ def moving(trace: Trace) -> str:
     ticks = np.unique(np.append(np.arange(begin, end, 2), end))
     seconds = (end - begin) / hz + STILL
     along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
-    lanes = sorted(float(trace.road.drawn(np.array([lane.x]), np.array([lane.y]))[1][0]) for lane in trace.lanes)
+    lanes = sorted(
+        float(trace.road.drawn(np.array([lane.x]), np.array([lane.y]))[1][0])
+        for lane in trace.lanes
+    )
     lane, top = float(trace.lanes[0].width), min(lanes) - trace.lanes[0].width / 2 - SHOULDER
     height = HEAD + round((max(lanes) + lane / 2 + SHOULDER - top) * SCALE)
     names = ["ego", *(f"NPC {npc}" for npc in range(along.shape[1] - 1))]
@@ -66,9 +69,14 @@ def moving(trace: Trace) -> str:
 
     def moves(name: str, x: FloatArray, y: FloatArray, angle: FloatArray) -> str:
         """Return the rules by which a thing moves, and where it is without motion."""
-        places = [f"translate({a:.1f}px,{b:.1f}px) rotate({c:.1f}deg)" for a, b, c in zip(x, y, angle, strict=True)]
+        places = [
+            f"translate({a:.1f}px,{b:.1f}px) rotate({c:.1f}deg)"
+            for a, b, c in zip(x, y, angle, strict=True)
+        ]
         shares = [100 * (tick - begin) / hz / seconds for tick in ticks]
-        frames = "".join(f"{share:.2f}%{{transform:{at}}}" for share, at in zip(shares, places, strict=True))
+        frames = "".join(
+            f"{share:.2f}%{{transform:{at}}}" for share, at in zip(shares, places, strict=True)
+        )
         last = f"transform:{places[-1]}"
         return (
             f".{name}{{{last};animation:{name} {seconds:.2f}s linear infinite}}"
@@ -77,7 +85,9 @@ def moving(trace: Trace) -> str:
 
     def shows(name: str, spans: Iterable[tuple[float, bool]]) -> str:
         """Return the rules by which a thing is seen from times on or no longer; without motion as at the end."""
-        told = [(100 * time / seconds, "visible" if is_seen else "hidden") for time, is_seen in spans]
+        told = [
+            (100 * time / seconds, "visible" if is_seen else "hidden") for time, is_seen in spans
+        ]
         frames = "".join(f"{share:.2f}%{{visibility:{seen}}}" for share, seen in told)
         return (
             f".{name}{{visibility:{told[-1][1]};animation:{name} {seconds:.2f}s step-end infinite}}"
@@ -93,7 +103,8 @@ def moving(trace: Trace) -> str:
         rules.append(moves(f"v{each}", x, y(across[ticks, each]), angles[:, each]))
         brakes = trace.states[begin : end + 1, each, ACCELERATION] < -1.0
         changes = [
-            (next(group)[0] / hz, is_on) for is_on, group in groupby(enumerate(brakes), key=lambda at: bool(at[1]))
+            (next(group)[0] / hz, is_on)
+            for is_on, group in groupby(enumerate(brakes), key=lambda at: bool(at[1]))
         ]
         rules.append(shows(f"b{each}", changes))
         length, width = (float(size) * SCALE for size in trace.sizes[each])
@@ -111,7 +122,10 @@ def moving(trace: Trace) -> str:
     for number, time in enumerate(times):
         tick = begin + round(time * hz)
         rules.append(
-            shows(f"f{number}", [(0.0, False), (time, True), ((*times, seconds)[number + 1], time == times[-1])])
+            shows(
+                f"f{number}",
+                [(0.0, False), (time, True), ((*times, seconds)[number + 1], time == times[-1])],
+            )
         )
         told = [
             (14, "#ffffff", f"{tick / hz:.1f} s"),
@@ -119,11 +133,17 @@ def moving(trace: Trace) -> str:
             (270, COLOURS[1], f"{names[hit]} {trace.states[tick, hit, SPEED]:.1f} m/s"),
             (460, "#ffffff", f"gap {max(gaps[tick], 0.0):.1f} m"),
         ]
-        texts = "".join(f'<tspan x="{x}" fill="{colour}">{text}</tspan>' for x, colour, text in told)
-        figures.append(f'<text class="f{number}" y="28" font-size="19" font-weight="600">{texts}</text>')
+        texts = "".join(
+            f'<tspan x="{x}" fill="{colour}">{text}</tspan>' for x, colour, text in told
+        )
+        figures.append(
+            f'<text class="f{number}" y="28" font-size="19" font-weight="600">{texts}</text>'
+        )
     low, high = y(min(lanes) - lane / 2), y(max(lanes) + lane / 2)
     reach = (ego[-1] - ego[0]) * SCALE + EGO
-    edges = "".join(f'<path d="M0 {at:.1f}H{WIDTH}" stroke="#8b939b" stroke-width="2"/>' for at in (low, high))
+    edges = "".join(
+        f'<path d="M0 {at:.1f}H{WIDTH}" stroke="#8b939b" stroke-width="2"/>' for at in (low, high)
+    )
     marks = "".join(
         f'<path d="M{-reach:.0f} {y(centre - lane / 2):.1f}H{WIDTH}" stroke="#d8dbdd" stroke-width="2" '
         f'stroke-dasharray="{3 * SCALE:g} {9 * SCALE:g}"/>'
@@ -153,20 +173,39 @@ def _contact(trace: Trace, along: FloatArray, across: FloatArray, hit: int) -> t
 
 def drawn(path: Path, policy: Callable[..., object]) -> str:
     """Return the picture of a saved scenario with a policy."""
-    return moving(pafot.load(path).replay(policy if isinstance(policy, type) else lambda: policy).trace)
+    return moving(
+        pafot.load(path).replay(policy if isinstance(policy, type) else lambda: policy).trace
+    )
 
 
 def found(folder: Path) -> Path:
     """Search the sample in an empty folder, and return the file of its first finding."""
     test = folder / SAMPLE.name
     test.write_text(SAMPLE.read_text(encoding="utf-8"), encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(DOCS.parent), environment.get("PYTHONPATH")]))
-    command = [sys.executable, "-m", "pytest", test.name, f"--pafot-seed={SEED}", "-p", "no:randomly", "-q"]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")
+    }
+    environment["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [str(DOCS.parent), environment.get("PYTHONPATH")])
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        test.name,
+        f"--pafot-seed={SEED}",
+        "-p",
+        "no:randomly",
+        "-q",
+    ]
+    done = subprocess.run(  # noqa: S603
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     files = sorted(folder.rglob("*.pafot.yaml"))
     if not files:
-        raise SystemExit(f"{command}: expected a finding, received this:\n{done.stdout}{done.stderr}")
+        raise SystemExit(
+            f"{command}: expected a finding, received this:\n{done.stdout}{done.stderr}"
+        )
     return files[0]
 
 

@@ -69,12 +69,17 @@ SEARCHES = "searches.csv"
 """Every cell of the reports' tables of searches: report, search, measure, value."""
 STATISTICS = "statistics.csv"
 """Every test of the reports."""
-STATISTICS_COLUMNS = "report,measure,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
+STATISTICS_COLUMNS = (
+    "report,measure,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
+)
 STORED = {
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
 }
 """Files in docs/comparisons for the tables of a benchmark, in their order."""
-PICTURES = {"paper/figures/collisions-over-time.png": "paper.png", "planted-defects.png": "planted-defects.png"}
+PICTURES = {
+    "paper/figures/collisions-over-time.png": "paper.png",
+    "planted-defects.png": "planted-defects.png",
+}
 """Pictures in DIR, and their names in docs/comparisons."""
 
 SUMMARY = {
@@ -86,7 +91,11 @@ SUMMARY = {
 """Rows of the paper's comparison in the overview, and their measures in its report."""
 THE_PAPERS = {
     "share of unique": {"pafot": "80.5 %", "av-fuzzer": "56.3 %", "random-manoeuvre": "24.9 %"},
-    "simulated per collision": {"pafot": "34.98 s", "av-fuzzer": "80.82 s", "random-manoeuvre": "218.35 s"},
+    "simulated per collision": {
+        "pafot": "34.98 s",
+        "av-fuzzer": "80.82 s",
+        "random-manoeuvre": "218.35 s",
+    },
 }
 """The paper's values of measures, from the scenarios, collisions and hours of its section 4.2: 4945, 3981 and 38.68 for
 PAFOT, 4327, 2438 and 54.73 for AV-Fuzzer, and 4000, 997 and 60.47 for its Random, whose NPCs use no grid either."""
@@ -108,7 +117,9 @@ def searches_of(name: str, report: str) -> Iterator[list[str]]:
     """Yield report, search, measure and value from the tables of a report."""
     for (_, *measures), *rows in tables_of(report)[:-1]:
         for search, *values in rows:
-            yield from ([name, search, *cell] for cell in zip(measures, values, strict=True) if cell[1])
+            yield from (
+                [name, search, *cell] for cell in zip(measures, values, strict=True) if cell[1]
+            )
 
 
 def statistics_of(name: str, report: str) -> Iterator[list[str]]:
@@ -181,11 +192,15 @@ def measured(name: str, command: str, arguments: argparse.Namespace, folder: Pat
     if not stored.exists():
         for whole, quick in re.findall(r"\{([^|}]*)\|([^}]*)\}", command):
             command = command.replace(f"{{{whole}|{quick}}}", quick if arguments.quick else whole)
-        command = command.replace("WORKERS", str(arguments.workers)).replace("OUT", os.path.relpath(out, ROOT))
+        command = command.replace("WORKERS", str(arguments.workers)).replace(
+            "OUT", os.path.relpath(out, ROOT)
+        )
         before = spent()
         shutil.rmtree(out, ignore_errors=True)  # of a comparison that was interrupted
         printed = run(command)
-        stored.write_text(f"{printed}\n{name}: {spent() - before:.3f} CPU hours\n", encoding="utf-8")
+        stored.write_text(
+            f"{printed}\n{name}: {spent() - before:.3f} CPU hours\n", encoding="utf-8"
+        )
     text, _, hours = stored.read_text(encoding="utf-8").rstrip().rpartition("\n")
     print(hours, flush=True)
     return text
@@ -209,7 +224,9 @@ def run(command: str, **variables: str) -> str:
         check=False,
     )
     if done.returncode:
-        raise SystemExit(f"expected the command to end well, received exit status {done.returncode}:\n{done.stdout}")
+        raise SystemExit(
+            f"expected the command to end well, received exit status {done.returncode}:\n{done.stdout}"
+        )
     return done.stdout
 
 
@@ -226,7 +243,9 @@ def write_between(document: Path, name: str, text: str) -> None:
         SystemExit: if the document does not have them exactly once.
     """
     marked = re.compile(rf"(<!-- measured: {name} -->\n).*?(<!-- end of measured -->)", re.DOTALL)
-    changed, count = marked.subn(lambda found: f"{found[1]}{text}{found[2]}", document.read_text(encoding="utf-8"))
+    changed, count = marked.subn(
+        lambda found: f"{found[1]}{text}{found[2]}", document.read_text(encoding="utf-8")
+    )
     if count != 1:
         raise SystemExit(f"{document}: expected one line <!-- measured: {name} -->, found {count}")
     document.write_text(changed, encoding="utf-8", newline="\n")
@@ -234,7 +253,16 @@ def write_between(document: Path, name: str, text: str) -> None:
 
 def commit_of_the_code() -> str:
     """Return the commit that last changed the code, by git; ``unknown`` without git."""
-    command = ["git", "log", "-1", "--format=%h", "--", "pytest_pafot", "example_ads", "tests/benchmarks"]
+    command = [
+        "git",
+        "log",
+        "-1",
+        "--format=%h",
+        "--",
+        "pytest_pafot",
+        "example_ads",
+        "tests/benchmarks",
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)  # noqa: S603
     return done.stdout.strip() or "unknown"
 
@@ -247,7 +275,12 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
         report = (folder / name / "report.md").read_text(encoding="utf-8")
         head = ["report", "search", "measure", "value"]
         replace_report(comparisons / SEARCHES, head, name, searches_of(name, report))
-        replace_report(comparisons / STATISTICS, STATISTICS_COLUMNS.split(","), name, statistics_of(name, report))
+        replace_report(
+            comparisons / STATISTICS,
+            STATISTICS_COLUMNS.split(","),
+            name,
+            statistics_of(name, report),
+        )
     for name in (each for each in BENCHMARKS if each in requested):
         printed = measured(name, f"-m tests.benchmarks.{BENCHMARKS[name]}", arguments, folder)
         for path, (head, *rows) in zip(STORED.get(name, ()), tables_of(printed), strict=False):
@@ -261,17 +294,27 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
 
 def main() -> None:
     """Redo all steps, or the named ones."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     every = [*REPORTS, *BENCHMARKS, *WRITERS]
-    parser.add_argument("--only", nargs="+", choices=every, default=every, metavar="NAME", help=", ".join(every))
+    parser.add_argument(
+        "--only", nargs="+", choices=every, default=every, metavar="NAME", help=", ".join(every)
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--build", type=Path, default=ROOT / "build" / "figures", metavar="DIR")
     arguments = parser.parse_args()
     versions = {"python": platform.python_version(), **installed_versions()}
     commit = commit_of_the_code()
-    print(f"commit {commit}, {', '.join(f'{name} {version}' for name, version in versions.items())}", flush=True)
-    folder, root = arguments.build.resolve() / f"{commit}{'-quick' if arguments.quick else ''}", ROOT
+    print(
+        f"commit {commit}, {', '.join(f'{name} {version}' for name, version in versions.items())}",
+        flush=True,
+    )
+    folder, root = (
+        arguments.build.resolve() / f"{commit}{'-quick' if arguments.quick else ''}",
+        ROOT,
+    )
     folder.mkdir(parents=True, exist_ok=True)
     if arguments.quick:
         root = folder / "copy"

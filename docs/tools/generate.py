@@ -61,7 +61,8 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 OF_SEARCH = ("traffic", "blame", "runs", "seed", "against")
 """The options of the command ``search`` that are also arguments of the mark."""
 _WORLD = re.compile(
-    r"drive in this world: the id of a highway-env environment .* a pafot.SimulatorWorld \((.*)", re.DOTALL
+    r"drive in this world: the id of a highway-env environment .* a pafot.SimulatorWorld \((.*)",
+    re.DOTALL,
 )
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
@@ -113,7 +114,16 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 MARKER_GROUPS: Mapping[str, Sequence[str]] = {
     "marker-tested": ("ads", "world", "blame", "against", "isolate"),
     "marker-traffic": (
-        *("traffic", "vehicles", "npcs", "instructions", "genes", "gene_seconds", "ego_lane", "ego_speed"),
+        *(
+            "traffic",
+            "vehicles",
+            "npcs",
+            "instructions",
+            "genes",
+            "gene_seconds",
+            "ego_lane",
+            "ego_speed",
+        ),
     ),
     "marker-search": ("runs", "generations", "seed", "algorithm", "fitness", "shrink_runs"),
 }
@@ -134,7 +144,16 @@ RUN_GROUPS: Mapping[str, Sequence[str]] = {
     "run-danger": (*("min_distance", "min_ttc", "hardest_brake", "closest_approach", "worst_ttc"),),
     "run-verdict": ("responsibility", "explain()", "takeover"),
     "run-ticks": (
-        *("ego", "npcs", "headway", "leader", "lane_changes", "passages", "signal()", "to_pandas()"),
+        *(
+            "ego",
+            "npcs",
+            "headway",
+            "leader",
+            "lane_changes",
+            "passages",
+            "signal()",
+            "to_pandas()",
+        ),
         *("trace", "scenario"),
     ),
 }
@@ -249,7 +268,9 @@ def generated(text: str) -> str:
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+    return "".join(
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines
+    )
 
 
 def _columns_table(columns: Mapping[str, str]) -> str:
@@ -263,7 +284,11 @@ def _fields_table(cls: type[Any]) -> str:
     rows = [
         [
             _code(names),
-            *([", ".join(filter(None, map(defaults.get, names.split(", "))))] if has_defaults else []),
+            *(
+                [", ".join(filter(None, map(defaults.get, names.split(", "))))]
+                if has_defaults
+                else []
+            ),
             _capital(text),
         ]
         for names, text in _attributes(cls)
@@ -284,7 +309,8 @@ def _traffic_table() -> str:
 def _vehicles_table() -> str:
     names = ("length", "width", "acceleration", "braking", "lateral_acceleration", "top_speed")
     rows = [
-        [f'`"{name}"`'] + ["" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
+        [f'`"{name}"`']
+        + ["" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
         for name, each in READY.items()
     ]
     return _table(["Name", *map(_code, names)], rows)
@@ -322,7 +348,9 @@ def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str,
 
 def _plain(text: str) -> str:
     """Return the text of a docstring as Markdown."""
-    return _ROLE.sub(lambda found: f"`{found[1].rpartition('.')[2]}`", text).replace("``", "`").strip()
+    return (
+        _ROLE.sub(lambda found: f"`{found[1].rpartition('.')[2]}`", text).replace("``", "`").strip()
+    )
 
 
 def _capital(text: str) -> str:
@@ -348,7 +376,11 @@ def _option_row(option: Option) -> list[str]:
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, argument) if option.everywhere else ("", "")
     is_said = all(choice in option.help for choice in option.choices)
-    choices = "" if is_said else f" {'Built-in:' if option.or_class else 'One of'} {_code(', '.join(option.choices))}."
+    choices = (
+        ""
+        if is_said
+        else f" {'Built-in:' if option.or_class else 'One of'} {_code(', '.join(option.choices))}."
+    )
     place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
         place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
@@ -384,7 +416,9 @@ def _properties_table(cls: type[Any], only: Sequence[str] = ()) -> str:
 
 def _record_table(thing: Any, heading: str = "Attributes:", only: Sequence[str] = ()) -> str:
     texts = dict(_attributes(thing, heading))
-    return _table(["Key", "Meaning"], [[_code(names), _capital(texts[names])] for names in only or texts])
+    return _table(
+        ["Key", "Meaning"], [[_code(names), _capital(texts[names])] for names in only or texts]
+    )
 
 
 def _outcomes_table() -> str:
@@ -392,12 +426,17 @@ def _outcomes_table() -> str:
     assert isinstance(body, ast.ClassDef)  # noqa: S101
     after = (node.value for node in body.body[1:] if isinstance(node, ast.Expr))
     texts = [value.value for value in after if isinstance(value, ast.Constant)]
-    rows = [[f"`{outcome}`", " ".join(str(text).split())] for outcome, text in zip(Outcome, texts, strict=True)]
+    rows = [
+        [f"`{outcome}`", " ".join(str(text).split())]
+        for outcome, text in zip(Outcome, texts, strict=True)
+    ]
     return _table(["Outcome", "Meaning"], rows)
 
 
 def _file_table() -> str:
-    return _table(["Field", "Meaning"], [[_code(names), text] for names, text in FILE_TEXTS.items()])
+    return _table(
+        ["Field", "Meaning"], [[_code(names), text] for names, text in FILE_TEXTS.items()]
+    )
 
 
 def _example() -> Finding:
@@ -433,13 +472,20 @@ def _example() -> Finding:
 
 def _signals_table() -> str:
     rows = [
-        [f"`run.{each.name.replace('npcs', 'npcs[i]')}`", each.unit, each.worse, _capital(each.source) + "."]
+        [
+            f"`run.{each.name.replace('npcs', 'npcs[i]')}`",
+            each.unit,
+            each.worse,
+            _capital(each.source) + ".",
+        ]
         for each in MEASURES
     ]
     return _table(["Signal", "Unit", "Worse", "Meaning"], rows)
 
 
-def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: Sequence[str] = ()) -> str:
+def _command_table(
+    add: Callable[[argparse.ArgumentParser], None], as_in_mark: Sequence[str] = ()
+) -> str:
     """Return the table of a command's options. The options in ``as_in_mark`` share one row, which links to the mark."""
     parser = argparse.ArgumentParser(add_help=False)
     add(parser)
@@ -448,7 +494,9 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
         if action.help == argparse.SUPPRESS or action.dest in as_in_mark:
             continue
         value = (
-            f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
+            f"={'|'.join(map(str, action.choices))}"
+            if action.choices
+            else f"={action.metavar or action.dest.upper()}"
         )
         value = "" if action.nargs == 0 else value
         text = _WORLD.sub(
@@ -475,7 +523,10 @@ def _ready_list() -> str:
     entries = []
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
-        paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
+        paragraphs = [
+            _plain(" ".join(each.split()))
+            for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")
+        ]
         paragraphs = [each for each in paragraphs if not each.startswith("Raises:")]
         text = re.sub(r"docs/([\w/]+/)([\w-]+)\.md", r"[\2](../\1\2.md)", " ".join(paragraphs))
         lines = textwrap.wrap(text, 120, break_on_hyphens=False)
@@ -489,7 +540,9 @@ def _stated(function: Callable[..., Any]) -> str:
     stated = []
     for each in inspect.signature(function).parameters.values():
         default = "..." if isinstance(each.default, RssRules) else repr(each.default)
-        stated.append(each.name if each.default is inspect.Parameter.empty else f"{each.name}={default}")
+        stated.append(
+            each.name if each.default is inspect.Parameter.empty else f"{each.name}={default}"
+        )
     return ", ".join(stated)
 
 

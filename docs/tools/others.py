@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).parents[1] / "explanation" / "others.md"
-SECTION = re.compile(r"^!\[[^]]*\]\(others/(\S+)\.svg\)\n\n(.*?)\n\n```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+SECTION = re.compile(
+    r"^!\[[^]]*\]\(others/(\S+)\.svg\)\n\n(.*?)\n\n```python\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 
 WIDTH, LINE, ALONG = 460, 19, 100.0
 """Width of a picture and height of a line of text in it [px], and length of road in it [m]."""
@@ -33,7 +35,9 @@ Frames = list[tuple[float, list[Box]]]
 
 def sections() -> dict[str, tuple[str, str]]:
     """Return the sentences and the code of each failure on the page, by the name of its picture."""
-    return {name: (said, code) for name, said, code in SECTION.findall(PAGE.read_text(encoding="utf-8"))}
+    return {
+        name: (said, code) for name, said, code in SECTION.findall(PAGE.read_text(encoding="utf-8"))
+    }
 
 
 def wrap(module: str, path: str, note: Callable[..., None]) -> None:
@@ -68,7 +72,10 @@ def run(code: str) -> tuple[Frames, list[float], float, str]:
 
     def metadrive(_: Any, env: Any, action: Any) -> None:
         lanes[:] = [-3.5 * number for number in range(3)]
-        cars = [env.agent, *env.engine.get_objects(lambda each: each.class_name == "DefaultVehicle").values()]
+        cars = [
+            env.agent,
+            *env.engine.get_objects(lambda each: each.class_name == "DefaultVehicle").values(),
+        ]
         shown = [
             (v.position[0], -v.position[1], -v.heading_theta, v.speed, v.LENGTH, v.WIDTH)
             for v in {id(v): v for v in cars}.values()
@@ -79,7 +86,9 @@ def run(code: str) -> tuple[Frames, list[float], float, str]:
     def fiss(_: bool, *boxes: Any) -> None:
         x = frames[-1][1][1][0] if frames else boxes[1].cx - 1.5
         speeds = seen["ego"], (boxes[1].cx - x) * 10
-        shown = [(b.cx, -b.cy, -b.yaw, v, b.length, b.width) for b, v in zip(boxes, speeds, strict=True)]
+        shown = [
+            (b.cx, -b.cy, -b.yaw, v, b.length, b.width) for b, v in zip(boxes, speeds, strict=True)
+        ]
         frames.append(((len(frames) + 1) / 10, shown))
 
     def reactive(_: None, planner: Any, *args: Any, **given: Any) -> None:
@@ -118,14 +127,18 @@ def picture(frames: Frames, lanes: list[float], width: float, printed: str) -> s
     parts, y = [], 0
     for time, boxes in chosen:
         left = boxes[0][0] - 25.0
-        names = ["ego", *(["other"] if len(boxes) == 2 else [f"other {n}" for n in range(1, len(boxes))])]
+        names = [
+            "ego",
+            *(["other"] if len(boxes) == 2 else [f"other {n}" for n in range(1, len(boxes))]),
+        ]
         told = [
             f'<tspan dx="9" fill="{OTHER if n else EGO}">{name} {speed_of(boxes[n])} m/s</tspan>'
             for n, name in enumerate(names)
         ]
         parts.append(f'<text x="4" y="{y + 15}">{time:.1f} s{"".join(told)}</text>')
         roads = [
-            f'<rect x="0" y="{lane - width / 2}" width="{ALONG}" height="{width}" fill="{ROAD}"/>' for lane in lanes
+            f'<rect x="0" y="{lane - width / 2}" width="{ALONG}" height="{width}" fill="{ROAD}"/>'
+            for lane in lanes
         ]
         roads += [
             f'<path d="M0 {lane + width / 2}h{ALONG}" stroke="{MARK}" stroke-width=".15" stroke-dasharray="3 5"/>'
@@ -151,4 +164,6 @@ def picture(frames: Frames, lanes: list[float], width: float, printed: str) -> s
 if __name__ == "__main__":
     for given in sys.argv[1:]:
         drawn = picture(*run(sections()[given][1]))
-        PAGE.with_suffix("").joinpath(f"{given}.svg").write_text(drawn, encoding="utf-8", newline="\n")
+        PAGE.with_suffix("").joinpath(f"{given}.svg").write_text(
+            drawn, encoding="utf-8", newline="\n"
+        )

@@ -52,7 +52,14 @@ class Story(NamedTuple):
 
 
 STORIES = (
-    Story("crash", "test_cruise.py", ("--pafot-seed=1",), DOCS / "start" / "test_cruise.py", (1100, 758), 0.0),
+    Story(
+        "crash",
+        "test_cruise.py",
+        ("--pafot-seed=1",),
+        DOCS / "start" / "test_cruise.py",
+        (1100, 758),
+        0.0,
+    ),
     Story(
         "report-constant-speed",
         "example_ads/test_safety.py::test_never_at_fault_in_a_collision[constant-speed-search]",
@@ -83,11 +90,19 @@ def search(story: Story, folder: Path) -> Path:
 
 def written(path: Path, command: Sequence[str], place: Path = ROOT) -> Path:
     """Run a command in a folder that writes a file, and return the path of the file."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), environment.get("PYTHONPATH")]))
-    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")
+    }
+    environment["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [str(ROOT), environment.get("PYTHONPATH")])
+    )
+    done = subprocess.run(  # noqa: S603
+        command, cwd=place, env=environment, capture_output=True, text=True, check=False
+    )
     if not path.is_file():
-        raise SystemExit(f"{command}: expected {path.name}, received this:\n{done.stdout}{done.stderr}")
+        raise SystemExit(
+            f"{command}: expected {path.name}, received this:\n{done.stdout}{done.stderr}"
+        )
     return path
 
 

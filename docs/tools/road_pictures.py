@@ -55,7 +55,14 @@ SCALE, HALF_HEIGHT = 8.0, 18.0
 CROSSED_SCALE, CROSSED_HALF_HEIGHT = 5.0, 45.0
 """The same if a vehicle crosses the ego's way. Otherwise it would be visible only 2 s before contact."""
 
-PAPER, ROAD, EDGE, DASH, INK, DANGER = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff", "#171b20", "#b3261e"
+PAPER, ROAD, EDGE, DASH, INK, DANGER = (
+    "#fbfbfa",
+    "#e6e8e9",
+    "#8b939b",
+    "#ffffff",
+    "#171b20",
+    "#b3261e",
+)
 NPC_INKS = ("#b4480a", "#00695c", "#6a3fa0", "#8a6100", "#0b5cad", "#a3195b", "#3d6b1f", "#5b4a42")
 
 
@@ -83,12 +90,16 @@ def picture(env_id: str) -> Image.Image:
     trace = found(world)
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     origin = Found(seed=1, generation=0, algorithm="random", versions={})
-    finding = Finding.from_run(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
+    finding = Finding.from_run(
+        Run(trace), failure, test="test", world=world.to_dict(), found=origin
+    )
     view = finding_view(Seen(finding=finding, node_id="", observed=Observed(run=Run(trace))))
     print(f"{env_id}: {view['headline']}, responsible: {finding.expect.responsibility}")
     moment = trace.duration - BEFORE_IMPACT
     named = json.loads(json.dumps(view), object_hook=lambda part: SimpleNamespace(**part))
-    return frame(named, min(range(len(named.times)), key=lambda index: abs(named.times[index] - moment)))
+    return frame(
+        named, min(range(len(named.times)), key=lambda index: abs(named.times[index] - moment))
+    )
 
 
 def frame(finding: SimpleNamespace, index: int) -> Image.Image:
@@ -113,31 +124,57 @@ def frame(finding: SimpleNamespace, index: int) -> Image.Image:
     # Every lane is painted twice, the second time narrower: this leaves an edge of the road, and lanes that touch.
     half = WIDTH / scale
     ends = x - half, x + half
-    straight = [SimpleNamespace(points=[(end, lane) for end in ends], width=road.lane_width) for lane in road.lanes]
+    straight = [
+        SimpleNamespace(points=[(end, lane) for end in ends], width=road.lane_width)
+        for lane in road.lanes
+    ]
     for more, ink in ((0.5, EDGE), (-0.3 if road.shapes else 0.0, ROAD)):
         for shape in straight or road.shapes:
-            pen.line([at(*point) for point in shape.points], ink, round((shape.width + more) * scale), joint="curve")
+            pen.line(
+                [at(*point) for point in shape.points],
+                ink,
+                round((shape.width + more) * scale),
+                joint="curve",
+            )
     for lane in road.lanes[1:]:  # dashes, by which one sees that the ego moves
         for start in range(math.floor((x - half) / 12) * 12, math.ceil(x + half), 12):
             across = lane - road.lane_width / 2
             pen.line([at(start, across), at(start + 3, across)], DASH, 2)
-    has_collided = finding.event.kind == "collision" and finding.times[index] >= finding.event.time - 1e-6
+    has_collided = (
+        finding.event.kind == "collision" and finding.times[index] >= finding.event.time - 1e-6
+    )
     for number, vehicle in reversed(list(enumerate(finding.vehicles))):  # the ego last, on top
-        along, across_, heading = vehicle.along[index], vehicle.across[index], vehicle.heading[index] or 0.0
+        along, across_, heading = (
+            vehicle.along[index],
+            vehicle.across[index],
+            vehicle.heading[index] or 0.0,
+        )
         if along is None or across_ is None:
             continue
         cos, sin = math.cos(heading), math.sin(heading)
         ink = NPC_INKS[(number - 1) % len(NPC_INKS)] if number else DANGER if has_collided else INK
-        for length, color in ((0.5, ink), (0.3, PAPER), (0.2, ink)):  # the light strip is the windscreen
+        for length, color in (
+            (0.5, ink),
+            (0.3, PAPER),
+            (0.2, ink),
+        ):  # the light strip is the windscreen
             corners = [(-0.5, -0.5), (length, -0.5), (length, 0.5), (-0.5, 0.5)]
             turned = [(ahead * vehicle.length, right * vehicle.width) for ahead, right in corners]
             places = [at(along + a * cos - r * sin, across_ + a * sin + r * cos) for a, r in turned]
             pen.polygon(places, fill=color)
         name = str(number - 1) if number else "E"
-        pen.text(at(along - 0.1 * cos, across_ - 0.1 * sin), name, PAPER, ImageFont.load_default(12), "mm")
+        pen.text(
+            at(along - 0.1 * cos, across_ - 0.1 * sin),
+            name,
+            PAPER,
+            ImageFont.load_default(12),
+            "mm",
+        )
     # The words: the time, and the headline in the largest size that fits, without characters that the font lacks.
     pen.rectangle((0, 0, WIDTH, BAR - 1), fill=PAPER)
-    printable = (char if char.isprintable() and ord(char) < 0x250 else "?" for char in finding.headline[:150])
+    printable = (
+        char if char.isprintable() and ord(char) < 0x250 else "?" for char in finding.headline[:150]
+    )
     words = f"{finding.times[index]:.1f} s  {''.join(printable)}"
     fonts = [ImageFont.load_default(size) for size in (13, 12, 11, 10, 9, 8)]
     font = next((font for font in fonts if font.getlength(words) <= WIDTH - 20), fonts[-1])
@@ -187,7 +224,10 @@ Points = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 def beside(points: Points, shift: float) -> Points:
     """Shift a line to the right by a distance [m]."""
     along = np.gradient(points, axis=0)
-    return points + shift * np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
+    return (
+        points
+        + shift * np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
+    )
 
 
 def junction(env_id: str, config: dict[str, str]) -> Image.Image:
@@ -200,7 +240,10 @@ def junction(env_id: str, config: dict[str, str]) -> Image.Image:
     lines = {name: np.stack([way.line.x, way.line.y], axis=-1) for name, way in known.ways.items()}
     stretches = {zone.way: [2 * int(place) for place in zone.npc] for zone in crossings.zones}
     met = np.concatenate([lines[name][first:last] for name, (first, last) in stretches.items()])
-    middle, scale = (met.min(axis=0) + met.max(axis=0)) / 2, SIDE / (np.ptp(met, axis=0).max() + 2 * AROUND)
+    middle, scale = (
+        (met.min(axis=0) + met.max(axis=0)) / 2,
+        SIDE / (np.ptp(met, axis=0).max() + 2 * AROUND),
+    )
     image = Image.new("RGB", (2 * SIDE, 2 * (SIDE + WORDS)), PAPER)
     draw, big, small = ImageDraw.Draw(image), ImageFont.load_default(34), ImageFont.load_default(26)
 
@@ -218,7 +261,9 @@ def junction(env_id: str, config: dict[str, str]) -> Image.Image:
         line(points, 0.2, KINDS[zone.kind])
         line(points[first : last + 1], 0.55, KINDS[zone.kind])
     draw.rectangle((0, 2 * SIDE, 2 * SIDE, 2 * (SIDE + WORDS)), fill=PAPER)
-    title = f"{env_id}, {' '.join(f'{name} {value}' for name, value in config.items())}".rstrip(", ")
+    title = f"{env_id}, {' '.join(f'{name} {value}' for name, value in config.items())}".rstrip(
+        ", "
+    )
     draw.text((24, 20), title, fill=TEXT, font=big)
     for number, zone in enumerate(crossings.zones):
         words = f"{zone.way}: {zone.kind}, {zone.whence}, priority: {zone.priority}"
@@ -248,7 +293,9 @@ def main() -> None:
     write(junctions(names), DOCS / "junctions.png")
     if only == "--junctions":
         return
-    rows = [row(ENVIRONMENTS[first : first + COLUMNS]) for first in range(0, len(ENVIRONMENTS), COLUMNS)]
+    rows = [
+        row(ENVIRONMENTS[first : first + COLUMNS]) for first in range(0, len(ENVIRONMENTS), COLUMNS)
+    ]
     sheet = Image.new("RGB", (COLUMNS * WIDTH, sum(each.height for each in rows)), PAPER)
     y = 0
     for each in rows:

@@ -40,9 +40,14 @@ def picture() -> str:
     """Return the picture as SVG: the first change, the moment that decides, and the impact."""
     (situation,) = (each for group in SITUATIONS.values() for each in group if each.name == NAME)
     trace = situation.trace()
-    changes = np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2)) > CHANGE
+    changes = (
+        np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2))
+        > CHANGE
+    )
     ticks = [int(changes.argmax()), rss_rule(trace).tick or 0, trace.ticks]
-    lanes = sorted({trace.lanes[int(lane)].y for tick in ticks for lane in trace.states[tick, :, LANE]})
+    lanes = sorted(
+        {trace.lanes[int(lane)].y for tick in ticks for lane in trace.states[tick, :, LANE]}
+    )
     top, height = lanes[0] - LANE_WIDTH / 2 - BORDER, lanes[-1] - lanes[0] + LANE_WIDTH + 2 * BORDER
     left = -(ROAD - float(np.ptp(trace.states[ticks][:, :, X] - trace.states[ticks][:, :1, X]))) / 2
     pixels, parts, y = round(height * WIDTH / ROAD), [], MARGIN
@@ -53,14 +58,20 @@ def picture() -> str:
         view = f'viewBox="{left:.1f} {top:.1f} {ROAD:.1f} {height:.1f}"'
         lines = "".join(f'<path d="{road}" {stroke}/>' for stroke in STROKES)
         states = trace.states[tick]
-        cars = "".join(_car(each, states[0, X], colour) for each, colour in zip(states, COLOURS, strict=True))
+        cars = "".join(
+            _car(each, states[0, X], colour) for each, colour in zip(states, COLOURS, strict=True)
+        )
         hit = _impact(states) if tick == trace.ticks else ""
-        parts.append(f'<svg y="{y}" width="{WIDTH}" height="{pixels}" {view} fill="none">{lines}{cars}{hit}</svg>')
+        parts.append(
+            f'<svg y="{y}" width="{WIDTH}" height="{pixels}" {view} fill="none">{lines}{cars}{hit}</svg>'
+        )
         y += pixels + MARGIN
     size = f'viewBox="0 0 {WIDTH} {y}" width="{WIDTH}" height="{y}"'
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11" fill="#e8eaed">\n'
-        f'<rect width="{WIDTH}" height="{y}" rx="5" fill="#2b3037"/>\n' + "\n".join(parts) + "\n</svg>\n"
+        f'<rect width="{WIDTH}" height="{y}" rx="5" fill="#2b3037"/>\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
     )
 
 
@@ -77,7 +88,10 @@ def _impact(states: FloatArray) -> str:
 
 def _caption(trace: Trace, tick: int) -> str:
     named = zip(("ego", "NPC"), COLOURS, trace.states[tick, :, SPEED], strict=True)
-    spans = (f'<tspan dx="9" fill="{colour}">{name} {speed:.1f} m/s</tspan>' for name, colour, speed in named)
+    spans = (
+        f'<tspan dx="9" fill="{colour}">{name} {speed:.1f} m/s</tspan>'
+        for name, colour, speed in named
+    )
     return f"{tick / trace.physics_hz:.1f} s{''.join(spans)}"
 
 

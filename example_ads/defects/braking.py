@@ -37,4 +37,6 @@ class StopsInItsLane(Driver):
         """Act as planned, except while the driver waits for the sensor."""
         super().act(action)
         if self.clock >= self.SECONDS and self.clock % self.SECONDS < self.LASTING:
-            self.action["acceleration"] = min(self.action["acceleration"], -min(self.BRAKING, 2 * self.speed))
+            self.action["acceleration"] = min(
+                self.action["acceleration"], -min(self.BRAKING, 2 * self.speed)
+            )

@@ -19,7 +19,9 @@ class Driver(IDMVehicle):  # type: ignore[misc]
         clock: time since the start [s].
     """
 
-    def __init__(self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0, **options: Any) -> None:
+    def __init__(
+        self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0, **options: Any
+    ) -> None:
         super().__init__(road, position, heading, speed, **options)
         self.clock = 0.0
         self.road = Perceived(road, self)
@@ -76,5 +78,7 @@ class Perceived(Road):  # type: ignore[misc]
         ahead, behind = super().neighbour_vehicles(vehicle, lane_index)
         driver = self._driver
         return (
-            driver.neighbours(lane_index or driver.lane_index, ahead, behind) if vehicle is driver else (ahead, behind)
+            driver.neighbours(lane_index or driver.lane_index, ahead, behind)
+            if vehicle is driver
+            else (ahead, behind)
         )

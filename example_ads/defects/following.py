@@ -28,7 +28,9 @@ class BrakesLateAboveTwenty(Driver):
     CALIBRATED_SPEED = 20.0
     REACTION_GAP = 10.0
 
-    def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
+    def acceleration(
+        self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None
+    ) -> float:
         """Return the IDM's acceleration [m/s^2], ignoring a leader that the driver considers far away."""
         if ego_vehicle is self and front_vehicle and self.speed > self.CALIBRATED_SPEED:
             gap = self.lane_distance_to(front_vehicle) - self.LENGTH

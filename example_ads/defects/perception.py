@@ -24,7 +24,9 @@ class BlindBesideFrontWheel(Driver):
     def sees(self, other: Any) -> bool:
         """Return whether a vehicle is outside the two blind zones."""
         ahead, right = self.relative(other)
-        return not (self.FIRST <= ahead <= self.LAST and self.NEAREST <= abs(right) <= self.FARTHEST)
+        return not (
+            self.FIRST <= ahead <= self.LAST and self.NEAREST <= abs(right) <= self.FARTHEST
+        )
 
 
 class SeesOldSpeeds(Driver):
@@ -47,9 +49,15 @@ class SeesOldSpeeds(Driver):
                 self._look_at(other)
         super().act(action)
 
-    def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
+    def acceleration(
+        self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None
+    ) -> float:
         """Return the IDM's acceleration [m/s^2] of the driver or another vehicle, using the predicted states."""
-        return float(super().acceleration(self._as_seen(ego_vehicle), self._as_seen(front_vehicle), rear_vehicle))
+        return float(
+            super().acceleration(
+                self._as_seen(ego_vehicle), self._as_seen(front_vehicle), rear_vehicle
+            )
+        )
 
     def _look_at(self, other: Any) -> None:
         track = self._tracks.setdefault(other, deque())

@@ -54,7 +54,9 @@ class PpoPolicy:
 def read_actor(path: Path = ACTOR) -> Layers:
     """Read the layers that ``train.py`` has written as ``weights_0``, ``biases_0``, ``weights_1`` and so on."""
     with np.load(path, allow_pickle=False) as arrays:
-        return tuple((arrays[f"weights_{n}"], arrays[f"biases_{n}"]) for n in range(len(arrays.files) // 2))
+        return tuple(
+            (arrays[f"weights_{n}"], arrays[f"biases_{n}"]) for n in range(len(arrays.files) // 2)
+        )
 
 
 def make() -> PpoPolicy:

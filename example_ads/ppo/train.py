@@ -82,7 +82,9 @@ def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
     from stable_baselines3 import PPO  # noqa: PLC0415
 
     torch.set_num_threads(1)
-    env = gym.wrappers.TransformObservation(plain, lambda observation: observation * SCALES, plain.observation_space)
+    env = gym.wrappers.TransformObservation(
+        plain, lambda observation: observation * SCALES, plain.observation_space
+    )
     return PPO(
         "MlpPolicy",
         env,
@@ -103,7 +105,10 @@ def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
 
 def actor_of(model: Any) -> Layers:
     """Return the actor's layers, first layer first, for the unscaled observations of highway-env."""
-    layers = [(layer.weight.detach().numpy().T, layer.bias.detach().numpy()) for layer in actor_modules(model)]
+    layers = [
+        (layer.weight.detach().numpy().T, layer.bias.detach().numpy())
+        for layer in actor_modules(model)
+    ]
     return in_scale(layers, SCALES)
 
 
@@ -112,7 +117,9 @@ def give_actor(model: Any, layers: Layers) -> None:
     import torch  # noqa: PLC0415
 
     with torch.no_grad():
-        for layer, (weights, biases) in zip(actor_modules(model), in_scale(layers, np.reciprocal(SCALES)), strict=True):
+        for layer, (weights, biases) in zip(
+            actor_modules(model), in_scale(layers, np.reciprocal(SCALES)), strict=True
+        ):
             layer.weight.copy_(torch.from_numpy(weights.T.copy()))
             layer.bias.copy_(torch.from_numpy(biases.copy()))
 
@@ -134,12 +141,16 @@ def in_scale(layers: Iterable[tuple[Any, Any]], scales: npt.NDArray[np.float32])
 
 def write_actor(path: Path, layers: Layers) -> None:
     """Write layers in the format that :func:`read_actor` reads."""
-    arrays = {f"weights_{n}": np.ascontiguousarray(weights) for n, (weights, _) in enumerate(layers)}
+    arrays = {
+        f"weights_{n}": np.ascontiguousarray(weights) for n, (weights, _) in enumerate(layers)
+    }
     arrays |= {f"biases_{n}": biases for n, (_, biases) in enumerate(layers)}
     np.savez(path, **arrays)  # type: ignore[arg-type]  # all its keyword arguments are arrays, except one flag
 
 
-def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[int, list[npt.NDArray[np.float32]]]:
+def crashes(
+    decide: Decide, episodes: int, env_id: str = "highway-v0"
+) -> tuple[int, list[npt.NDArray[np.float32]]]:
     """Return the number of episodes in which the policy crashed, and all its observations."""
     env = gym.make(env_id)
     crashed, seen = 0, []
@@ -157,17 +168,32 @@ def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[
 
 def agreement(model: Any, policy: PpoPolicy, observations: list[npt.NDArray[np.float32]]) -> int:
     """Return the number of observations for which the numpy policy and stable-baselines3 choose the same action."""
-    return sum(policy(o) == int(model.predict(o * SCALES, deterministic=True)[0]) for o in observations)
+    return sum(
+        policy(o) == int(model.predict(o * SCALES, deterministic=True)[0]) for o in observations
+    )
 
 
 def main() -> None:
     """Train a policy, write its actor, and print a report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--steps", type=int, default=36_864, help="number of environment steps (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="seed for training (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=ACTOR, help="file for the actor (default: %(default)s)")
-    parser.add_argument("--episodes", type=int, default=30, help="episodes for the report (default: %(default)s)")
-    parser.add_argument("--report-only", action="store_true", help="report on the existing file without training")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=36_864,
+        help="number of environment steps (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed for training (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=ACTOR, help="file for the actor (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=30, help="episodes for the report (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--report-only", action="store_true", help="report on the existing file without training"
+    )
     options = parser.parse_args()
     gym.register_envs(highway_env)
     model = None if options.report_only else train(options.steps, options.seed)
@@ -175,10 +201,14 @@ def main() -> None:
         write_actor(options.output, actor_of(model))
     policy = PpoPolicy(read_actor(options.output))
     crashed, observations = crashes(policy, options.episodes)
-    print(f"Crashed in {crashed} of {options.episodes} episodes of highway-v0 ({len(observations)} decisions).")
+    print(
+        f"Crashed in {crashed} of {options.episodes} episodes of highway-v0 ({len(observations)} decisions)."
+    )
     if model is not None:
         sample = observations[:500]
-        print(f"numpy and stable-baselines3 agree on {agreement(model, policy, sample)} of {len(sample)} observations.")
+        print(
+            f"numpy and stable-baselines3 agree on {agreement(model, policy, sample)} of {len(sample)} observations."
+        )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,13 @@ from pytest_pafot.algorithms.catalogue import (
 from pytest_pafot.algorithms.evaluation import Evaluation, Health
 from pytest_pafot.algorithms.operators import crossover, mutate, tournament
 from pytest_pafot.algorithms.pafot import PafotSearch
-from pytest_pafot.algorithms.plan import Algorithm, GenerationalSearch, GenerationState, Plan, SearchState
+from pytest_pafot.algorithms.plan import (
+    Algorithm,
+    GenerationalSearch,
+    GenerationState,
+    Plan,
+    SearchState,
+)
 from pytest_pafot.algorithms.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [

@@ -21,7 +21,12 @@ from pytest_pafot.algorithms.evaluation import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.algorithms.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
+from pytest_pafot.algorithms.plan import (
+    check_ask,
+    check_evaluations,
+    check_parameters,
+    end_of_local_search,
+)
 from pytest_pafot.algorithms.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario
@@ -29,7 +34,9 @@ from pytest_pafot.model.trace import FloatArray
 
 # The values of `lane` in a Lane-Instruction.
 ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")
-LANE_CHANGE = 34.0  # weight of a lane change in the distance between two scenarios; 1 m/s has the weight 1
+LANE_CHANGE = (
+    34.0  # weight of a lane change in the distance between two scenarios; 1 m/s has the weight 1
+)
 RESTART_CANDIDATES = 1000  # random scenarios from which a restart selects its population
 LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never select
 
@@ -39,7 +46,9 @@ class AvFuzzerState:
     """The state of an AV-Fuzzer search."""
 
     generation: int = 0  # generation of the main search; 0 is the first random population
-    local_generation: int = 0  # 0 in the main search; a local search starts at 1, the generation of the mutants
+    local_generation: int = (
+        0  # 0 in the main search; a local search starts at 1, the generation of the mutants
+    )
     # the members that the last generation selected; empty before a random population
     population: tuple[Evaluation, ...] = ()
     local_population: tuple[Evaluation, ...] = ()  # the same for the current local search
@@ -73,15 +82,25 @@ class AvFuzzerSearch:
     # chain in this space, so that algorithms are compared over the same duration.
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)  # number of scenarios in a generation
-    slices: int = field(default=5, kw_only=True)  # number of manoeuvres of each NPC, one per time slice
+    slices: int = field(
+        default=5, kw_only=True
+    )  # number of manoeuvres of each NPC, one per time slice
     # A generation of n scenarios has n // 2 possible crossovers, each with this probability.
     crossover_rate: float = field(default=0.4, kw_only=True)
-    mutation_rate: float = field(default=0.4, kw_only=True)  # probability that one manoeuvre of a scenario changes
+    mutation_rate: float = field(
+        default=0.4, kw_only=True
+    )  # probability that one manoeuvre of a scenario changes
     # Number of generations in a local search after its mutants; 0 disables local searches.
     local_generations: int = field(default=5, kw_only=True)
-    local_mutation_factor: float = field(default=1.5, kw_only=True)  # the resulting rate is at most 1
-    local_after: int = field(default=2, kw_only=True)  # generations without local searches after a random one
-    restart_after: int = field(default=5, kw_only=True)  # generations without progress before a restart
+    local_mutation_factor: float = field(
+        default=1.5, kw_only=True
+    )  # the resulting rate is at most 1
+    local_after: int = field(
+        default=2, kw_only=True
+    )  # generations without local searches after a random one
+    restart_after: int = field(
+        default=5, kw_only=True
+    )  # generations without progress before a restart
 
     def __post_init__(self) -> None:
         if self.population < 2:
@@ -97,9 +116,13 @@ class AvFuzzerSearch:
         return self.space.sliced(self.slices)
 
     def start(self, rng: Generator) -> AvFuzzerState:
-        return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
+        return AvFuzzerState(
+            fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population))
+        )
 
-    def ask(self, state: AvFuzzerState, rng: Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
+    def ask(
+        self, state: AvFuzzerState, rng: Generator
+    ) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
         check_ask(state.asked)
         # Members that were selected neither for crossover nor for mutation are not run again. That can be all members.
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._vary(state, rng)
@@ -108,7 +131,9 @@ class AvFuzzerSearch:
     def tell(
         self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
-        check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
+        check_evaluations(
+            None if state.asked is None else [scenario for _, scenario in state.asked], evaluations
+        )
         population = list(state.local_population if state.local_generation else state.population)
         is_random = not population
         # An index at the end of the list appends, which fills a random population.
@@ -137,13 +162,23 @@ class AvFuzzerSearch:
         scenarios = [member.scenario for member in members]
         # A local search starts with copies of the incumbent. Each copy gets one mutation.
         if state.local_generation == 1:
-            return tuple(enumerate([mutate_manoeuvre(scenario, self.space, rng) for scenario in scenarios]))
-        rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
+            return tuple(
+                enumerate([mutate_manoeuvre(scenario, self.space, rng) for scenario in scenarios])
+            )
+        rate = (
+            min(1.0, self.mutation_rate * self.local_mutation_factor)
+            if is_local
+            else self.mutation_rate
+        )
         touched: set[int] = set()
         for _ in range(len(scenarios) // 2):
             if rng.random() < self.crossover_rate:
-                first, second = (int(index) for index in rng.choice(len(scenarios), size=2, replace=False))
-                scenarios[first], scenarios[second] = swap_npc(scenarios[first], scenarios[second], rng)
+                first, second = (
+                    int(index) for index in rng.choice(len(scenarios), size=2, replace=False)
+                )
+                scenarios[first], scenarios[second] = swap_npc(
+                    scenarios[first], scenarios[second], rng
+                )
                 touched |= {first, second}
         for index, scenario in enumerate(scenarios):
             if rng.random() < rate:
@@ -168,17 +203,30 @@ class AvFuzzerSearch:
         if age >= self.restart_after and sum(stagnant) / len(stagnant) >= fitness:
             events.append(Restarted(generation=generation + 1, stagnant=self.restart_after))
             candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
-            fresh, after = farthest(candidates, np.concatenate(state.checkpoints), self.population), generation + 1
-            state = replace(state, generation=after, population=(), restarted_at=after, bests=(), fresh=fresh)
+            fresh, after = (
+                farthest(candidates, np.concatenate(state.checkpoints), self.population),
+                generation + 1,
+            )
+            state = replace(
+                state, generation=after, population=(), restarted_at=after, bests=(), fresh=fresh
+            )
             return state, tuple(events)
         # A local search needs a new best since the last restart, and enough generations since then.
         improves = fitness > max(earlier, default=-math.inf)
         incumbent = state.global_best
-        if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
+        if (
+            age == 0
+            or not improves
+            or age <= self.local_after
+            or self.local_generations == 0
+            or incumbent is None
+        ):
             return replace(state, generation=generation + 1), tuple(events)
         events.append(LocalSearchStarted(generation=generation, incumbent=incumbent))
         copies = (incumbent,) * self.population
-        return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
+        return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(
+            events
+        )
 
     def _after_local_generation(
         self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
@@ -241,18 +289,29 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
     low = min(0.0, float(fitness[finite].min(initial=0.0)))
     weights = np.where(finite, fitness - low, 0.0)
     total = float(weights.sum())
-    shares = weights / total if 0 < total < math.inf else np.full(len(population), 1 / len(population))
-    return tuple(population[int(index)] for index in rng.choice(len(population), size=len(population), p=shares))
+    shares = (
+        weights / total if 0 < total < math.inf else np.full(len(population), 1 / len(population))
+    )
+    return tuple(
+        population[int(index)]
+        for index in rng.choice(len(population), size=len(population), p=shares)
+    )
 
 
-def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
+def farthest(
+    candidates: Sequence[Scenario], checkpoints: FloatArray, count: int
+) -> tuple[Scenario, ...]:
     """Return the ``count`` candidates with the greatest mean distance to earlier scenarios.
 
     ``checkpoints`` contains the :func:`features` of these scenarios, as an array of shape [scenarios, NPCs, slices, 2].
     """
-    of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))  # makes the values of all scenarios contiguous
+    of_all = np.ascontiguousarray(
+        np.moveaxis(checkpoints, 0, -1)
+    )  # makes the values of all scenarios contiguous
     checkpoints = np.moveaxis(of_all, -1, 0)
-    by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
+    by_distance = sorted(
+        candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints)))
+    )
     return tuple(by_distance[:count])
 
 
@@ -261,7 +320,11 @@ def features(scenario: Scenario) -> FloatArray:
     rows = [
         # Per slice: the speed, and -34 for a change to the left or 34 for a change to the right. Both are accumulated
         # below.
-        [(gene.speed, LANE_CHANGE * gene.column) for gene in chain if isinstance(gene, LaneInstruction)]
+        [
+            (gene.speed, LANE_CHANGE * gene.column)
+            for gene in chain
+            if isinstance(gene, LaneInstruction)
+        ]
         for chain in scenario.npcs
     ]
     return np.cumsum(np.array(rows, dtype=np.float64), axis=1)

@@ -56,7 +56,9 @@ class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
     def start(self, rng: Generator) -> GenerationState:
         return GenerationState()
 
-    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
+    def propose(
+        self, state: GenerationState, rng: Generator
+    ) -> tuple[GenerationState, Iterable[Scenario]]:
         space: Any = self.space.sliced(self.slices)
         return state, (sample_manoeuvres(space, rng) for _ in range(self.population))
 
@@ -77,9 +79,15 @@ class AlgorithmClass:
     name: str  # the name in files and reports; a class must define it
     # the fitness that it maximises unless the user requests another one: a name or a function
     fitness: str | Fitness = "default"
-    instructions: Sequence[str] = tuple(LANE_SHARES)  # kinds of instructions that it can sample, default last
-    is_papers: bool = False  # whether its scenarios are like the paper's: two NPCs, one start and no patterns
-    draws_vehicles: bool = False  # whether it samples from all vehicles that fit the world, if the mark names none
+    instructions: Sequence[str] = tuple(
+        LANE_SHARES
+    )  # kinds of instructions that it can sample, default last
+    is_papers: bool = (
+        False  # whether its scenarios are like the paper's: two NPCs, one start and no patterns
+    )
+    draws_vehicles: bool = (
+        False  # whether it samples from all vehicles that fit the world, if the mark names none
+    )
 
     @property
     def draws_by_number(self) -> bool:
@@ -99,7 +107,11 @@ def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
     """
     made_by = _named(given) if isinstance(given, str) else given
     _check_class(made_by)
-    said = {each.name: getattr(made_by, each.name) for each in fields(AlgorithmClass) if hasattr(made_by, each.name)}
+    said = {
+        each.name: getattr(made_by, each.name)
+        for each in fields(AlgorithmClass)
+        if hasattr(made_by, each.name)
+    }
     return AlgorithmClass(made_by=made_by, **said)
 
 
@@ -112,7 +124,9 @@ def _named(given: str) -> Any:
         except ValueError as error:
             raise ValueError(f"algorithm: {error}") from error
     hint = suggest(given, ALGORITHMS) or ". Use module:Class for your own algorithm."
-    raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, but received {given!r}{hint}")
+    raise ValueError(
+        f"algorithm: expected one of {', '.join(ALGORITHMS)}, but received {given!r}{hint}"
+    )
 
 
 def _check_class(given: Any) -> None:
@@ -124,7 +138,9 @@ def _check_class(given: Any) -> None:
     name = getattr(given, "name", None)
     if given is RandomSearch:
         return
-    missing = [method for method in ("start", "ask", "tell") if not callable(getattr(given, method, None))]
+    missing = [
+        method for method in ("start", "ask", "tell") if not callable(getattr(given, method, None))
+    ]
     missing += sorted(getattr(given, "__abstractmethods__", ()))
     missing += [] if isinstance(name, str) else ["name"]
     if missing:

@@ -23,14 +23,24 @@ from pytest_pafot.model.scenario import Chromosome
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
 PASSES = 0.7  # fraction of the crossing NPCs that drive through their zone without stopping
 # Probability of each kind of slot. "Just after" is most likely, because it tests an ego that hesitates.
-SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
-SLOWEST = 3.0  # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
+SLOT_SHARES = {
+    "well before": 0.1,
+    "just before": 0.2,
+    "together": 0.2,
+    "just after": 0.3,
+    "well after": 0.2,
+}
+SLOWEST = (
+    3.0  # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
+)
 # Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
 # sampled.
 SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
 SHIFT = 0.8  # standard deviation of the time by which a variation moves a slot [s]
 ATTEMPTS = 30  # attempts to sample an instruction that does not conflict with other NPCs
-MOST_ATTEMPTS = 1000  # attempts to sample an instruction that fits its path, before an error is raised
+MOST_ATTEMPTS = (
+    1000  # attempts to sample an instruction that fits its path, before an error is raised
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +64,9 @@ class CrossingTraffic:
         for _ in range(MOST_ATTEMPTS):
             zones = self.crossings.zones
             zone = zones[int(rng.integers(len(zones)))].way
-            instruction = CrossingInstruction(zone, sample_slot(rng), self._speed(zone, rng), self._act(rng))
+            instruction = CrossingInstruction(
+                zone, sample_slot(rng), self._speed(zone, rng), self._act(rng)
+            )
             if self.crossings.fits(instruction):
                 return instruction
         raise ValueError(
@@ -66,7 +78,9 @@ class CrossingTraffic:
         """Change the slot, speed or act, or sample a new instruction. The result may not fit its path."""
         share = rng.random()
         if share < SLOT_CHANGE:
-            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
+            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (
+                1 if rng.integers(2) else -1
+            )
             slot = instruction.slot + step / SLOT_STEPS_PER_SECOND
             return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
         if share < SLOT_CHANGE + SPEED_CHANGE:
@@ -83,18 +97,26 @@ class CrossingTraffic:
         proposals = (propose() for _ in range(ATTEMPTS))
         return next((each for each in proposals if self.has_room(each, others)), None)
 
-    def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
+    def has_room(
+        self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]
+    ) -> bool:
         """Return whether an instruction fits its path and does not conflict with ``others``."""
-        return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
+        return self.crossings.fits(instruction) and not any(
+            self.crossings.clash(instruction, each) for each in others
+        )
 
-    def without_conflicts(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
+    def without_conflicts(
+        self, npcs: Sequence[Chromosome], rng: Generator
+    ) -> tuple[Chromosome, ...]:
         """Return the chains after resolving conflicts between crossing NPCs.
 
         NPCs that fit nowhere are omitted. If there is no conflict, no random number is used.
         """
         return tuple(chain for _, chain in self.numbered_without_conflicts(npcs, rng))
 
-    def numbered_without_conflicts(self, npcs: Sequence[Chromosome], rng: Generator) -> list[tuple[int, Chromosome]]:
+    def numbered_without_conflicts(
+        self, npcs: Sequence[Chromosome], rng: Generator
+    ) -> list[tuple[int, Chromosome]]:
         """Return the chains of :meth:`without_conflicts`, each with its index in ``npcs``."""
         kept: list[tuple[int, Chromosome]] = []
         told: list[CrossingInstruction] = []
@@ -112,7 +134,10 @@ class CrossingTraffic:
         return kept
 
     def _room_for(
-        self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction], rng: Generator
+        self,
+        instruction: CrossingInstruction,
+        others: Sequence[CrossingInstruction],
+        rng: Generator,
     ) -> CrossingInstruction | None:
         if self.has_room(instruction, others):
             return instruction
@@ -130,7 +155,9 @@ class CrossingTraffic:
         """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""
         low, high = self._bounds(zone)
         speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
-        return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
+        return [
+            speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))
+        ]
 
     def _speed(self, zone: str, rng: Generator) -> float:
         low, high = self._bounds(zone)
@@ -156,7 +183,13 @@ def sample_slot(rng: Generator) -> float:
     # The square makes longer times rarer.
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
-    slots = {"well before": -far, "just before": -near, "together": 0.0, "just after": near, "well after": far}
+    slots = {
+        "well before": -far,
+        "just before": -near,
+        "together": 0.0,
+        "just after": near,
+        "well after": far,
+    }
     return _tenths(slots[name])
 
 

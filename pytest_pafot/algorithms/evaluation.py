@@ -108,7 +108,9 @@ class Evaluation:
             outcome=trace.outcome,
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
-            genes_reached=sum([tick is not None for arrivals in trace.arrivals for tick in arrivals]),
+            genes_reached=sum(
+                [tick is not None for arrivals in trace.arrivals for tick in arrivals]
+            ),
             interaction=has_interaction(trace),
             discarded=discarded,
             barely_moved=bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING),
@@ -143,7 +145,11 @@ class Evaluation:
             return longest
         if min(lengths) == longest:
             return min(-(-self.genes_started // len(lengths)), longest)
-        enough = (depth for depth in range(1, longest) if sum(min(n, depth) for n in lengths) >= self.genes_started)
+        enough = (
+            depth
+            for depth in range(1, longest)
+            if sum(min(n, depth) for n in lengths) >= self.genes_started
+        )
         return next(enough, longest)
 
 
@@ -153,7 +159,9 @@ def has_interaction(trace: Trace) -> bool:
     if trace.outcome is Outcome.COLLISION:
         return True
     columns = (X, Y, HEADING, SPEED, LANE)
-    x, y, heading, speed, lane = (np.ascontiguousarray(trace.states[..., each].T) for each in columns)
+    x, y, heading, speed, lane = (
+        np.ascontiguousarray(trace.states[..., each].T) for each in columns
+    )
     # How far each NPC's centre is ahead of the ego's [m], along the ego's heading or, on curved roads, its path.
     if trace.road.is_straight:
         ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
@@ -161,7 +169,9 @@ def has_interaction(trace: Trace) -> bool:
         ahead = Encounters(trace).ahead
     gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
     follower = np.where(ahead >= 0, speed[0], speed[1:])
-    is_close = (lane[1:] == lane[0]) & (gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP))
+    is_close = (lane[1:] == lane[0]) & (
+        gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
+    )
     meets = any(trace.zones) and (time_advantage(trace) < INTERACTION_HEADWAY).any()
     return bool(is_close.any() or meets)
 
@@ -170,10 +180,14 @@ def ended_by(trace: Trace) -> str:
     """Return why a run ended early without a collision, or an empty string if it did not."""
     # If highway-env itself ends a run, as in its merges and intersections, the road ends there.
     is_own = not trace.ended.startswith("highway_env.")
-    is_cut = trace.outcome in LEAVING and (trace.ended or trace.off_road_tick in (None, trace.ticks))
+    is_cut = trace.outcome in LEAVING and (
+        trace.ended or trace.off_road_tick in (None, trace.ticks)
+    )
     if is_own and trace.ended:
         return trace.ended
-    return (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""  # without the module
+    return (
+        (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""
+    )  # without the module
 
 
 # Results of earlier runs of a search, so that none of the last ten thousand runs is simulated twice.
@@ -193,11 +207,17 @@ class EvaluationCache:
         seeds_matter: True if the seed affects more than the repair.
     """
 
-    def __init__(self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False) -> None:
+    def __init__(
+        self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False
+    ) -> None:
         self._seeds_matter = seeds_matter
-        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key, then by the seed if it matters
+        self._evaluations: dict[
+            _Key, dict[int | None, Evaluation]
+        ] = {}  # by key, then by the seed if it matters
         self._depths: list[int] = []
-        self._runs: deque[list[_Place]] = deque()  # for each run, the oldest first, the places that only it occupies
+        self._runs: deque[list[_Place]] = (
+            deque()
+        )  # for each run, the oldest first, the places that only it occupies
         for evaluation in evaluations:
             self.add(evaluation)
 
@@ -205,7 +225,11 @@ class EvaluationCache:
         """Add a run to the cache. If several runs have the same key, the first one is kept."""
         if evaluation.depth not in self._depths:
             self._depths = sorted([*self._depths, evaluation.depth])
-        own = [(key, need) for key, need in self._places(evaluation) if need not in self._evaluations.get(key, {})]
+        own = [
+            (key, need)
+            for key, need in self._places(evaluation)
+            if need not in self._evaluations.get(key, {})
+        ]
         for key, needed in own:
             self._evaluations.setdefault(key, {})[needed] = evaluation
         self._runs.append(own)
@@ -217,7 +241,11 @@ class EvaluationCache:
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
         seed = evaluation.scenario.seed if self._seeds_matter else None
-        keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
+        keys = (
+            [(driven, seed)]
+            if asked == driven
+            else [(driven, seed), (asked, evaluation.scenario.seed)]
+        )
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
     def forget(self, room: int = EVALUATIONS) -> None:
@@ -248,7 +276,9 @@ class EvaluationCache:
                 # them.
                 mixed = [driven[:depth] + own[depth:] for driven, own in pairs]
                 # The first of these genes may need repair, because it now follows other cells than those requested.
-                return replace(known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario))
+                return replace(
+                    known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario)
+                )
         return None
 
 
@@ -260,7 +290,13 @@ def plain_chains(scenario: Scenario) -> Chains:
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
     # A run with a fixed duration continues after the last gene of a chain. A longer chain would give another run.
     ends = 0 if all(len(chain) == len(chains[0]) for chain in chains) else scenario.genes
-    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, scenario.vehicles)
+    start = (
+        scenario.ego_lane,
+        scenario.ego_speed,
+        scenario.gene_seconds,
+        scenario.traffic,
+        scenario.vehicles,
+    )
     return (*start, ends, depth, *[chain[:depth] for chain in chains])
 
 
@@ -294,7 +330,9 @@ class GenerationFinished:
 
     generation: int
     local_generation: int
-    population: tuple[Evaluation, ...]  # the unchanged elites, then the new scenarios in the requested order
+    population: tuple[
+        Evaluation, ...
+    ]  # the unchanged elites, then the new scenarios in the requested order
     elites: int  # number of elites in the population
 
 
@@ -321,7 +359,9 @@ class LocalSearchFinished:
 
     generation: int
     incumbent: Evaluation
-    best: Evaluation  # the best of the local search; the incumbent itself if nothing better was found
+    best: (
+        Evaluation  # the best of the local search; the incumbent itself if nothing better was found
+    )
     replaced: bool  # whether the best replaced the incumbent in the main population
 
 
@@ -342,7 +382,9 @@ class PlanFinished:
     evaluated: int  # evaluated scenarios
     simulated: int  # number of these that were simulated
     best: Evaluation | None  # None if no run was eligible
-    seconds: float = field(compare=False)  # measured by the clock of the search, and therefore not reproducible
+    seconds: float = field(
+        compare=False
+    )  # measured by the clock of the search, and therefore not reproducible
 
 
 # The events that an algorithm returns from `tell`.
@@ -365,19 +407,31 @@ class Health:
     """The counts of evaluations on which a search's health warnings are based."""
 
     evaluated: int = 0  # scenarios that the algorithm requested
-    simulated: int = 0  # of these, the scenarios that were run; all other counts are about these runs
-    invalid: int = 0  # runs in which an NPC touched another NPC or a fixed object, or the user's code failed
-    errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which the user's code failed
+    simulated: int = (
+        0  # of these, the scenarios that were run; all other counts are about these runs
+    )
+    invalid: int = (
+        0  # runs in which an NPC touched another NPC or a fixed object, or the user's code failed
+    )
+    errors: Counter[str] = field(
+        default_factory=Counter
+    )  # invalid runs in which the user's code failed
     discarded: int = 0  # runs that the user's function rejected or skipped
     genes_started: int = 0  # genes that started, over all NPCs, in runs that no ADS error cut short
     genes_reached: int = 0  # of these, the genes whose target was reached
     valid: int = 0  # runs that were neither invalid nor discarded; the next three are among these
     failing: int = 0  # runs that failed, or whose process died
-    no_interaction: int = 0  # runs without an ADS error in which no NPC gave the ego a reason to react
+    no_interaction: int = (
+        0  # runs without an ADS error in which no NPC gave the ego a reason to react
+    )
     barely_moved: int = 0  # runs that passed although the ego barely moved
-    ended: Counter[str] = field(default_factory=Counter)  # runs that ended early and did not fail, by reason
+    ended: Counter[str] = field(
+        default_factory=Counter
+    )  # runs that ended early and did not fail, by reason
     at_once: int = 0  # of these, the runs that were not discarded and ended within the first second
-    close: int = 0  # of the runs that ended early, those with a vehicle within two seconds of the ego
+    close: int = (
+        0  # of the runs that ended early, those with a vehicle within two seconds of the ego
+    )
     gap: float = math.inf  # the smallest gap to another vehicle in runs that ended early [m]
 
     @classmethod
@@ -386,11 +440,17 @@ class Health:
         invalid = [each for each in runs if each.outcome is Outcome.INVALID]
         # The algorithm learns nothing from a run in which the process died, but such a run is an error of the ADS.
         valid = [
-            each for each in runs if each.outcome in BROKEN or not (each.outcome is Outcome.INVALID or each.discarded)
+            each
+            for each in runs
+            if each.outcome in BROKEN or not (each.outcome is Outcome.INVALID or each.discarded)
         ]
         driven = [each for each in valid if each.outcome not in BROKEN]
         whole = [each for each in runs if each.outcome not in BROKEN]
-        early = [each for each in whole if each.ended and not (each.failing or each.outcome is Outcome.INVALID)]
+        early = [
+            each
+            for each in whole
+            if each.ended and not (each.failing or each.outcome is Outcome.INVALID)
+        ]
         return cls(
             evaluated=evaluated,
             simulated=len(runs),
@@ -442,9 +502,16 @@ class Health:
         if not self.close and runs <= MOST_CLOSE * self.simulated:
             return ""
         (most, _), *others = first = self.ended.most_common(3)
-        named = [(f"because {'of ' * (name not in LEAVING.values())}{name}", number) for name, number in first]
-        enders = " and ".join(f"{why} ({number})" for why, number in named) if others else named[0][0]
-        advice = 'Correct the cause, or let the runs continue with ends="duration" in a pafot.World.'
+        named = [
+            (f"because {'of ' * (name not in LEAVING.values())}{name}", number)
+            for name, number in first
+        ]
+        enders = (
+            " and ".join(f"{why} ({number})" for why, number in named) if others else named[0][0]
+        )
+        advice = (
+            'Correct the cause, or let the runs continue with ends="duration" in a pafot.World.'
+        )
         if most in LEAVING.values():
             advice = "Check the units and axes of the world and of the ADS's actions."
         return (
@@ -456,17 +523,30 @@ class Health:
     @property
     def hides_most(self) -> bool:
         """True if so many runs ended early that the search must warn about them."""
-        return self.ended.total() > MOST_USELESS * self.simulated or self.close > MOST_CLOSE * self.simulated
+        return (
+            self.ended.total() > MOST_USELESS * self.simulated
+            or self.close > MOST_CLOSE * self.simulated
+        )
 
     def warnings(self) -> list[str]:
         """Return a warning, with advice, for each sign that the search tested too little."""
         if self.simulated == 0:
-            return ["no scenario was simulated, so nothing was tested. Give the search more time or more generations."]
+            return [
+                "no scenario was simulated, so nothing was tested. Give the search more time or more generations."
+            ]
         found = []
         if self.errors:
             (most, count), *_ = self.errors.most_common(1)
-            which = "The most frequent error" if count > 1 or len(self.errors) == 1 else "One of the errors"
-            way_out = 'Correct it, or write ends="duration" in the world.' if " failed: " in most else "Correct it."
+            which = (
+                "The most frequent error"
+                if count > 1 or len(self.errors) == 1
+                else "One of the errors"
+            )
+            way_out = (
+                'Correct it, or write ends="duration" in the world.'
+                if " failed: " in most
+                else "Correct it."
+            )
             found.append(
                 f"{_percent(self.errors.total(), self.simulated, 'simulated scenario')} tested nothing. {which}: "
                 f"{most:.300}. {way_out}"
@@ -490,7 +570,9 @@ class Health:
 
 
 ALONE = "no NPC came near the ego in the ego's lane. Use more NPCs, more genes, or a higher speed_limit for NPCs."
-STANDING = f"the ego's mean speed was below {BARELY_MOVING:g} m/s. Check the units of the ADS's actions."
+STANDING = (
+    f"the ego's mean speed was below {BARELY_MOVING:g} m/s. Check the units of the ADS's actions."
+)
 _COUNTS = [each.name for each in fields(Health) if each.name != "gap"]
 
 

@@ -47,8 +47,12 @@ def risks(trace: Trace) -> tuple[float, float, float, float]:
     # - SD is smallest if a leader pulls away. The shortfall of the safety distance replaces it. A crossing NPC is no
     #   leader, so its post-encroachment time counts instead: 1 / (1 + PET / 1 s).
     # - ET, the time to the collision, becomes 1 - ET / planned duration.
-    planned = criticality.planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
-    times = (each.post_encroachment_time for each in criticality.passages(trace) if each is not None)
+    planned = criticality.planned_duration(
+        trace
+    )  # 0 if NPCs cross and the ADS fails at its first decision
+    times = (
+        each.post_encroachment_time for each in criticality.passages(trace) if each is not None
+    )
     encroachment = min((time for time in times if not math.isnan(time)), default=math.inf)
     return (
         1 / (1 + criticality.min_ttc(trace) / TAU),
@@ -79,7 +83,10 @@ def paper(trace: Trace) -> float:
     # The paper has no bonus for a collision. The planned duration replaces an infinite METTC, and limits ET.
     # np.minimum propagates NaN, which min() would drop.
     mettc = float(np.minimum(criticality.mettc(trace), criticality.planned_duration(trace)))
-    distance, safety = criticality.min_centre_distance(trace), criticality.min_safety_distance(trace)
+    distance, safety = (
+        criticality.min_centre_distance(trace),
+        criticality.min_safety_distance(trace),
+    )
     return _never_nan(-(mettc + distance + safety + _time_to_collision(trace)))
 
 
@@ -113,7 +120,11 @@ def av_fuzzer(trace: Trace) -> float:
     cos, sin = criticality.Encounters(trace).road
     heading = trace.ego[:, HEADING]
     turns = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])[ticks] > math.sin(TURNING)
-    distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), criticality.centre_distance(trace)[ticks].T)
+    distance = np.where(
+        frame.is_on_way[:, ticks],
+        np.hypot(ahead, right),
+        criticality.centre_distance(trace)[ticks].T,
+    )
     beside = np.abs(right) < BESIDE
     # An NPC behind counts only while the ego changes lanes, which its heading shows.
     in_front = beside & (ahead > CAR_LENGTH) & (ahead < NEAR)
@@ -252,12 +263,18 @@ def _function(fitness: object) -> Fitness:
             raise FitnessError(f"fitness: {error}") from error
     if isinstance(fitness, str):
         hint = suggest(fitness, FITNESSES)
-        raise FitnessError(f"fitness: expected {names} or a function of a Trace, but received {fitness!r}{hint}")
+        raise FitnessError(
+            f"fitness: expected {names} or a function of a Trace, but received {fitness!r}{hint}"
+        )
     if not callable(fitness):
-        raise FitnessError(f"fitness: expected {names} or a function of a Trace, but received {fitness!r}")
+        raise FitnessError(
+            f"fitness: expected {names} or a function of a Trace, but received {fitness!r}"
+        )
     try:
         signature = inspect.signature(fitness)
-    except ValueError:  # some builtins have no signature, so the first call shows whether the function fits
+    except (
+        ValueError
+    ):  # some builtins have no signature, so the first call shows whether the function fits
         return fitness
     try:
         signature.bind(None)
@@ -276,7 +293,11 @@ def _name(function: object) -> str:
 def _time_to_collision(trace: Trace) -> float:
     """Return ET [s]: the time to the collision or, without one, the planned duration."""
     planned = criticality.planned_duration(trace)
-    return min(criticality.execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
+    return (
+        min(criticality.execution_time(trace), planned)
+        if trace.outcome == Outcome.COLLISION
+        else planned
+    )
 
 
 def _never_nan(value: float) -> float:

@@ -41,10 +41,14 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     return _with_npc(a, *first, rng), _with_npc(b, *second, rng)
 
 
-Swapped = tuple[int, Chromosome, VehicleType]  # the index of an NPC, and the chain and the vehicle that it receives
+Swapped = tuple[
+    int, Chromosome, VehicleType
+]  # the index of an NPC, and the chain and the vehicle that it receives
 
 
-def _with_npc(scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator) -> Scenario:
+def _with_npc(
+    scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator
+) -> Scenario:
     vehicles = scenario.vehicles
     if vehicle is not CAR or vehicles:
         vehicles = (*scenario.all_vehicles[:npc], vehicle, *scenario.all_vehicles[npc + 1 :])
@@ -78,7 +82,11 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """
     # If crossing NPCs conflict now, one of them is sampled again.
     child, crossing = _mutate(scenario, space, rng), space.crossing_traffic
-    return child if crossing is None else space.with_fitting_vehicles(_resolve_conflicts(child, crossing, rng))
+    return (
+        child
+        if crossing is None
+        else space.with_fitting_vehicles(_resolve_conflicts(child, crossing, rng))
+    )
 
 
 def _resolve_conflicts(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -121,14 +129,18 @@ def _mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         if new.on_grid:
             on_grid = _on_grid(scenario).index(npc)
             new = _fit_cell(scenario.positions, on_grid, gene, new, bool(rng.integers(2)))
-    return _child(scenario, with_chain(scenario.npcs, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
+    return _child(
+        scenario, with_chain(scenario.npcs, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng
+    )
 
 
 def _with_new_crossing(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
     told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
     npc, instruction = told[int(rng.integers(len(told)))]
     others = [each for number, each in told if number != npc]
-    new = crossing.first_with_room(others, lambda: crossing.vary(instruction, rng)) or crossing.sample(rng)
+    new = crossing.first_with_room(
+        others, lambda: crossing.vary(instruction, rng)
+    ) or crossing.sample(rng)
     return _child(scenario, with_chain(scenario.npcs, npc, (new,)), rng)
 
 
@@ -158,7 +170,9 @@ def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sc
         return scenario.of_npcs(npc for npc in range(len(npcs)) if npc != gone)
     if len(npcs) >= most:
         return scenario
-    alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
+    alone = space.fixed(
+        scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds
+    )
     one = sample(alone, rng)
     vehicles = (*scenario.all_vehicles, one.vehicle_of(0))
     return repaired((*npcs, *one.npcs), fresh_seed(rng), scenario, vehicles)
@@ -188,13 +202,17 @@ def _fit_cell(
     """Return ``new`` with a cell that fits the chain and that no other NPC occupies."""
     chain = chains[npc]
     around = [chain[k].cell for k in (gene - 1, gene + 1) if 0 <= k < len(chain)]
-    held = {other[gene].cell for index, other in enumerate(chains) if index != npc and gene < len(other)}
+    held = {
+        other[gene].cell for index, other in enumerate(chains) if index != npc and gene < len(other)
+    }
     anticlockwise, clockwise = around[0].neighbours if around else new.cell.neighbours
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
     # The first cell that fits is used: the new cell, the neighbours of the previous cell in random order (for the first
     # gene, of the next cell), or the replaced cell, which always fits.
     candidates = (new.cell, *neighbours, chain[gene].cell)
-    cell = next(c for c in candidates if c not in held and all(is_adjacent(c, other) for other in around))
+    cell = next(
+        c for c in candidates if c not in held and all(is_adjacent(c, other) for other in around)
+    )
     return new.aimed(cell)
 
 
@@ -228,11 +246,19 @@ def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
 
 def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
     """Return whether a candidate is eligible and outranks the best run so far, if any."""
-    return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
+    return (
+        candidate is not None
+        and candidate.eligible
+        and (best is None or candidate.rank > best.rank)
+    )
 
 
 def breed(
-    pair: Iterable[Scenario], space: SearchSpace, crossover_rate: float, mutation_rate: float, rng: Generator
+    pair: Iterable[Scenario],
+    space: SearchSpace,
+    crossover_rate: float,
+    mutation_rate: float,
+    rng: Generator,
 ) -> tuple[Scenario, Scenario]:
     """Return two children of a pair of scenarios."""
     a, b = pair
@@ -240,8 +266,13 @@ def breed(
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
         if (crossing := space.crossing_traffic) is not None:
-            a, b = (space.with_fitting_vehicles(_resolve_conflicts(child, crossing, rng)) for child in (a, b))
-    first, second = (mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b))
+            a, b = (
+                space.with_fitting_vehicles(_resolve_conflicts(child, crossing, rng))
+                for child in (a, b)
+            )
+    first, second = (
+        mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b)
+    )
     return first, second
 
 

@@ -21,7 +21,12 @@ from pytest_pafot.algorithms.evaluation import (
     Restarted,
 )
 from pytest_pafot.algorithms.operators import best_of, breed, elites, improves, mutate, parents
-from pytest_pafot.algorithms.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
+from pytest_pafot.algorithms.plan import (
+    check_ask,
+    check_evaluations,
+    check_parameters,
+    end_of_local_search,
+)
 from pytest_pafot.algorithms.space import SearchSpace, sample
 from pytest_pafot.model.scenario import Scenario
 
@@ -30,16 +35,24 @@ from pytest_pafot.model.scenario import Scenario
 class PafotState:
     """The state of a PAFOT search."""
 
-    generation: int = 0  # generation of the main search, from 0; it advances after each generation's local search
-    local_generation: int = 0  # 0 in the main search; a local search starts at 1, the generation of the mutants
+    generation: int = (
+        0  # generation of the main search, from 0; it advances after each generation's local search
+    )
+    local_generation: int = (
+        0  # 0 in the main search; a local search starts at 1, the generation of the mutants
+    )
     population: tuple[Evaluation, ...] = ()  # population of the main search
     local_population: tuple[Evaluation, ...] = ()  # population of the current local search
-    best: Evaluation | None = None  # the best since the last restart; None before the first eligible run
+    best: Evaluation | None = (
+        None  # the best since the last restart; None before the first eligible run
+    )
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
     kept: tuple[Evaluation, ...] = ()  # evaluated members that the next population keeps
     fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
-    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
+    asked: tuple[Scenario, ...] | None = (
+        None  # scenarios under evaluation; None if the next call must be ask
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +76,9 @@ class PafotSearch:
     is_papers: ClassVar[bool] = True
 
     space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)  # the paper gives no number, but its totals imply 4
+    population: int = field(
+        default=4, kw_only=True
+    )  # the paper gives no number, but its totals imply 4
     crossover_rate: float = field(default=0.5, kw_only=True)
     mutation_rate: float = field(default=0.5, kw_only=True)
     elite_share: float = field(default=0.25, kw_only=True)
@@ -79,9 +94,19 @@ class PafotSearch:
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise ValueError(f"population: expected at least 2, an elite and a child, but received {self.population!r}")
-        rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
-        counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
+            raise ValueError(
+                f"population: expected at least 2, an elite and a child, but received {self.population!r}"
+            )
+        rates, factors = (
+            ("crossover_rate", "mutation_rate", "elite_share"),
+            ("local_mutation_factor",),
+        )
+        counts = {
+            "local_generations": 0,
+            "local_after": 0,
+            "restart_after": 1,
+            "breeding_attempts": 0,
+        }
         check_parameters(self, rates=rates, factors=factors, **counts)
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
@@ -120,7 +145,11 @@ class PafotSearch:
         return tuple(sample(self.space, rng) for _ in range(self.population))
 
     def _breed(self, state: PafotState, rng: Generator) -> PafotState:
-        population, crossover_rate, mutation_rate = state.population, self.crossover_rate, self.mutation_rate
+        population, crossover_rate, mutation_rate = (
+            state.population,
+            self.crossover_rate,
+            self.mutation_rate,
+        )
         if state.local_generation:
             # A local search only mutates (section 3.6: "a mutation-based fuzzing process").
             population, crossover_rate = state.local_population, 0.0
@@ -161,16 +190,22 @@ class PafotSearch:
             state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
             return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))
         if generation - state.improved_at >= self.restart_after:
-            restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
+            restarted = Restarted(
+                generation=generation + 1, stagnant=generation - state.improved_at
+            )
             fresh, after = self._random_population(rng), generation + 1
-            return PafotState(generation=after, restarted_at=after, improved_at=after, fresh=fresh), (restarted,)
+            return PafotState(
+                generation=after, restarted_at=after, improved_at=after, fresh=fresh
+            ), (restarted,)
         return replace(state, generation=generation + 1), ()
 
     def _after_local_generation(
         self, state: PafotState, population: tuple[Evaluation, ...]
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         if state.local_generation <= self.local_generations:
-            return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
+            return replace(
+                state, local_generation=state.local_generation + 1, local_population=population
+            ), ()
         # The best of the local search replaces the incumbent in the main population, if it is better (section 3.6).
         incumbent, candidate = state.best, best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
@@ -181,7 +216,9 @@ class PafotSearch:
             generation=state.generation + 1,
             local_generation=0,
             local_population=(),
-            population=tuple(best if member is incumbent else member for member in state.population),
+            population=tuple(
+                best if member is incumbent else member for member in state.population
+            ),
             best=best,
         )
         return after, end_of_local_search(state, incumbent, better)

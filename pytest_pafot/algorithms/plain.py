@@ -62,7 +62,9 @@ def plain(value: Any) -> Any:
         if isinstance(value, Mapping):
             return [[plain(key), plain(each)] for key, each in value.items()]
         if isinstance(value, AbstractSet):
-            return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
+            return sorted(
+                map(plain, value), key=json.dumps
+            )  # the order of a set differs from process to process
         return operator.index(value)
     except TypeError:
         raise ValueError(
@@ -96,7 +98,9 @@ def _read(kind: Any, data: Any) -> Any:
         raise _refuse("a number", data)
     if kind is int or kind is str or kind is bool:
         if type(data) is not kind:
-            raise _refuse({int: "a whole number", str: "a string", bool: "true or false"}[kind], data)
+            raise _refuse(
+                {int: "a whole number", str: "a string", bool: "true or false"}[kind], data
+            )
         return data
     if kind is Scenario:
         try:
@@ -104,7 +108,9 @@ def _read(kind: Any, data: Any) -> Any:
         except ScenarioError:
             raise  # it is a ValueError, but its message is better than the one below
         except (TypeError, ValueError):
-            raise _refuse("a scenario as a list of chains, seed, lane, speed and duration", data) from None
+            raise _refuse(
+                "a scenario as a list of chains, seed, lane, speed and duration", data
+            ) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         kind = Signature
     origin, inner = get_origin(kind), get_args(kind)
@@ -159,13 +165,21 @@ def _read(kind: Any, data: Any) -> Any:
     except FieldError as error:  # the error names the part that does not fit
         separator = "." if error.field and not error.field.startswith("[") else ""
         place = f"[{len(parts)}]{separator}{error.field}"
-        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
+        raise FieldError(
+            field=place, expected=error.expected, received=error.received, fix=error.fix
+        ) from None
     if names is not None:
         try:
             return kind(**dict(zip(names, parts, strict=True)))
         except (TypeError, ValueError) as error:
             raise _refuse(f"values that fit together ({error!s:.100})", data) from None
-    return Counter(dict(parts)) if origin is Counter else dict(parts) if origin is Mapping else origin(parts)
+    return (
+        Counter(dict(parts))
+        if origin is Counter
+        else dict(parts)
+        if origin is Mapping
+        else origin(parts)
+    )
 
 
 def _refuse(expected: str, data: Any) -> FieldError:

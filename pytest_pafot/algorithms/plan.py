@@ -84,7 +84,9 @@ class GenerationState:
     generation: int = 0  # counted from 0
     local_generation: int = 0  # always 0, because there is no local search
     best: Evaluation | None = None  # None before the first eligible run
-    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
+    asked: tuple[Scenario, ...] | None = (
+        None  # scenarios under evaluation; None if the next call must be ask
+    )
     proposed: int = 0  # number of proposed scenarios so far
 
 
@@ -113,14 +115,20 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         """Return the state before the first generation."""
 
     @abstractmethod
-    def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
+    def propose(
+        self, state: GenerationStateT, rng: Rng
+    ) -> tuple[GenerationStateT, Iterable[Scenario]]:
         """Return the next state and the scenarios of the next generation."""
 
-    def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
+    def learn(
+        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
+    ) -> GenerationStateT:
         """Return the state after a generation. ``tell`` updates ``best`` and ``generation``."""
         return state
 
-    def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
+    def ask(
+        self, state: GenerationStateT, rng: Rng
+    ) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
         asked = tuple(proposed)  # an iterator samples the scenarios only now
@@ -136,10 +144,15 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         candidate = best_of(evaluations)
         new = candidate if improves(candidate, state.best) else None
         learnt = self.learn(state, evaluations, rng)
-        learnt = replace(learnt, generation=state.generation + 1, asked=None, best=new or state.best)
+        learnt = replace(
+            learnt, generation=state.generation + 1, asked=None, best=new or state.best
+        )
         if new is None:
             return learnt, (finished,)
-        return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
+        return learnt, (
+            finished,
+            NewBest(generation=state.generation, local_generation=0, evaluation=new),
+        )
 
 
 def end_of_local_search(
@@ -147,11 +160,16 @@ def end_of_local_search(
 ) -> tuple[AlgorithmEvent, ...]:
     """Return the events at the end of a local search. ``better`` is its result, or None if that is not better."""
     finished = LocalSearchFinished(
-        generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
+        generation=state.generation,
+        incumbent=incumbent,
+        best=better or incumbent,
+        replaced=better is not None,
     )
     if better is None:
         return (finished,)
-    return NewBest(generation=state.generation, local_generation=state.local_generation, evaluation=better), finished
+    return NewBest(
+        generation=state.generation, local_generation=state.local_generation, evaluation=better
+    ), finished
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
@@ -173,7 +191,9 @@ def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Ev
     check_order("tell", asked, evaluations)
 
 
-def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
+def check_order(
+    place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]
+) -> None:
     """Raise a ValueError that starts with ``place`` if evaluations and scenarios do not correspond one to one."""
     if len(evaluations) != len(scenarios):
         raise ValueError(
@@ -191,13 +211,26 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
 MOST = 10_000  # largest population; all scenarios of a generation are in memory together
 
 
-def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
+def check_parameters(
+    search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int
+) -> None:
     """Raise a ValueError that names the first parameter that is out of range."""
-    limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
-    limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
-    limits |= {name: (bound, math.inf, f"a whole number, at least {bound}") for name, bound in least.items()}
+    limits: dict[str, tuple[float, float, str]] = dict.fromkeys(
+        rates, (0, 1, "a number from 0 to 1")
+    )
+    limits |= {
+        name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors
+    }
+    limits |= {
+        name: (bound, math.inf, f"a whole number, at least {bound}")
+        for name, bound in least.items()
+    }
     if "population" in least:
-        limits["population"] = (least["population"], MOST, f"a whole number from {least['population']} to {MOST}")
+        limits["population"] = (
+            least["population"],
+            MOST,
+            f"a whole number from {least['population']} to {MOST}",
+        )
     for name, (low, high, expected) in limits.items():
         if not low <= getattr(search, name) <= high:
             raise ValueError(f"{name}: expected {expected}, but received {getattr(search, name)!r}")
@@ -230,14 +263,26 @@ class Plan:
         seeds_matter: bool = False,
     ) -> None:
         if generations is None and runs is None:
-            raise ValueError("generations, runs: expected at least one of them, but received neither")
-        for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
+            raise ValueError(
+                "generations, runs: expected at least one of them, but received neither"
+            )
+        for name, value, least in (
+            ("generations", generations, 1),
+            ("runs", runs, 1),
+            ("seed", seed, 0),
+        ):
             if value is not None and value < least:
-                raise ValueError(f"{name}: expected a whole number, at least {least}, but received {value!r}")
+                raise ValueError(
+                    f"{name}: expected a whole number, at least {least}, but received {value!r}"
+                )
         self.algorithm = algorithm
-        self.started = PlanStarted(algorithm=algorithm.name, generations=generations, seed=seed)  # the first event
+        self.started = PlanStarted(
+            algorithm=algorithm.name, generations=generations, seed=seed
+        )  # the first event
         # The totals over all evaluations so far.
-        self.sums = PlanFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
+        self.sums = PlanFinished(
+            reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
+        )
         self._last_generation = generations or runs or 0
         self._last_run = runs or sys.maxsize
         self._cache = EvaluationCache(seeds_matter=seeds_matter)
@@ -246,11 +291,15 @@ class Plan:
 
     def _begin(self) -> None:
         self._cache.forget()
-        self._told: list[tuple[Evaluation, bool]] = []  # each with True if an earlier run provided it
+        self._told: list[
+            tuple[Evaluation, bool]
+        ] = []  # each with True if an earlier run provided it
         self._asked: tuple[Scenario, ...] = ()
         if not self.is_over:
             # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.
-            self._rng = rng_of(self.started.seed, self._state.generation, self._state.local_generation)
+            self._rng = rng_of(
+                self.started.seed, self._state.generation, self._state.local_generation
+            )
             self._state, self._asked = self.algorithm.ask(self._state, self._rng)
 
     @property
@@ -284,12 +333,17 @@ class Plan:
         """Return the scenarios of the generation that still need a run, in order."""
         coming = dict.fromkeys(self._asked[len(self._told) :])
         unknown = (each for each in coming if self._cache.recall(each) is None)
-        return [each for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)]
+        return [
+            each
+            for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)
+        ]
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
         """Record the evaluation of the next scenario. ``reused`` is True if :meth:`recalled` returned it."""
         if evaluation.scenario is not self.scenario() and evaluation.scenario != self.scenario():
-            raise ValueError(f"expected an evaluation of {self.scenario()}, but received one of {evaluation.scenario}")
+            raise ValueError(
+                f"expected an evaluation of {self.scenario()}, but received one of {evaluation.scenario}"
+            )
         event = Evaluated(
             generation=self._state.generation,
             local_generation=self._state.local_generation,

@@ -34,7 +34,15 @@ from pytest_pafot.model.scenario import (
     Scenario,
     positions_of,
 )
-from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleType, named_vehicles, without_last_cars
+from pytest_pafot.model.vehicle_type import (
+    CAR,
+    PAPERS,
+    STYLES,
+    Style,
+    VehicleType,
+    named_vehicles,
+    without_last_cars,
+)
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
@@ -113,7 +121,10 @@ MIRRORED = {
     for pattern in PATTERNS
 }
 
-WALKING = ((1.0, -2.0), (1.0, 3.0))  # the lowest and highest target speed on the way from one pattern to the next
+WALKING = (
+    (1.0, -2.0),
+    (1.0, 3.0),
+)  # the lowest and highest target speed on the way from one pattern to the next
 
 
 def chain_of_patterns(
@@ -135,14 +146,21 @@ def followed_by_pattern(
     """
     pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
     steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
-    way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
+    way = (
+        [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)]
+        if chain
+        else []
+    )
     return [*chain, *(_sample_gene(step, ego_speed, bounds, rng) for step in (*way, *steps))]
 
 
-def _sample_gene(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator) -> PositionInstruction:
+def _sample_gene(
+    step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
+) -> PositionInstruction:
     least, most = bounds
     low, high = (
-        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
+        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most)
+        for share, more in (step.low, step.high)
     )
     speed = int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS
     gene: PositionInstruction = known(PositionInstruction, step.cell, speed)
@@ -167,7 +185,9 @@ MOST_ON_GRID = 2  # largest number of other NPCs if there are crossing ones: one
 # The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or either.
 Instructions = Literal["cells", "lanes", "both"]
 # The probability that an NPC that does not cross has Lane-Instructions.
-LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
+LANE_SHARES: Mapping[Instructions, float] = MappingProxyType(
+    {"cells": 0.0, "lanes": 1.0, "both": 0.5}
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,30 +236,47 @@ class SearchSpace:
     tick: float = 0.0
 
     def __post_init__(self) -> None:
-        npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8)
+        npcs = checked_whole(
+            self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8
+        )
         object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
-        checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
-        checked_number(self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0)
+        checked_number(
+            self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE
+        )
+        checked_number(
+            self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0
+        )
         if self.tick:
             object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
-            object.__setattr__(self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations)))
+            object.__setattr__(
+                self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations))
+            )
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
-            raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}")
+            raise ValueError(
+                f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}"
+            )
         if self.vehicles != CARS:  # a fast comparison, since each sampled start makes a space
             object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
-            raise ValueError(f"instructions: expected {expected}, but received {self.instructions!r:.100}")
-        if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
+            raise ValueError(
+                f"instructions: expected {expected}, but received {self.instructions!r:.100}"
+            )
+        if (
+            self.ego_speeds is not None
+            and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf
+        ):
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, but received {self.ego_speeds!r}"
             )
 
     def _in_ticks(self, seconds: float) -> float:
-        return round(max(round(seconds / self.tick), 1) * self.tick, 13)  # such as 2.01 instead of 2.0099999999999998
+        return round(
+            max(round(seconds / self.tick), 1) * self.tick, 13
+        )  # such as 2.01 instead of 2.0099999999999998
 
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC and the same total duration."""
@@ -258,7 +295,9 @@ class SearchSpace:
             "vehicles": [CAR.plain()],
             "tick": 0.0,
         }
-        return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
+        return {
+            name: value for name, value in data.items() if name not in usual or value != usual[name]
+        }
 
     @property
     def other_vehicles(self) -> tuple[VehicleType, ...]:
@@ -278,7 +317,9 @@ class SearchSpace:
         if not scenario.vehicles or self.crossings is None:
             return scenario
         vehicles = tuple(
-            vehicle if each is None or vehicle.can_follow(self.crossings.ways[each.zone].sharpest) else CAR
+            vehicle
+            if each is None or vehicle.can_follow(self.crossings.ways[each.zone].sharpest)
+            else CAR
             for vehicle, each in zip(scenario.vehicles, scenario.crossings, strict=False)
         )
         return scenario if not scenario.crossings else replace(scenario, vehicles=vehicles)
@@ -291,7 +332,10 @@ class SearchSpace:
     @property
     def low_step(self) -> int:
         """The lowest target speed in steps of 0.1 m/s."""
-        return min(round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
+        return min(
+            round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS),
+            self.top_step,
+        )
 
     @property
     def choices(self) -> Choices:
@@ -308,11 +352,23 @@ class SearchSpace:
             npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
         traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
         count = len(self.zones)
-        ways = f", most of them on paths that cross the ego's path in {plural(count, 'zone')}" if count else ""
-        how = {"cells": "", "lanes": " with LaneInstructions", "both": " with PositionInstructions or LaneInstructions"}
+        ways = (
+            f", most of them on paths that cross the ego's path in {plural(count, 'zone')}"
+            if count
+            else ""
+        )
+        how = {
+            "cells": "",
+            "lanes": " with LaneInstructions",
+            "both": " with PositionInstructions or LaneInstructions",
+        }
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
-        others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
+        others = (
+            f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}"
+            if others
+            else ""
+        )
         return f"{npcs}{how[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
     @property
@@ -330,20 +386,42 @@ class SearchSpace:
 
     def with_sampled_start(self, rng: Generator) -> SearchSpace:
         """Sample the start and the size of a scenario, and return the space restricted to them."""
-        if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
+        if (
+            not (self.ego_lanes or self.most_npcs or self.gene_durations)
+            and self.ego_speeds is None
+        ):
             return self
-        lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
+        lane = (
+            self.ego_lanes[int(rng.integers(len(self.ego_lanes)))]
+            if self.ego_lanes
+            else self.ego_lane
+        )
         speed = self.sample_speed(rng)
         most = self.most_on(lane)
-        npcs = int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
+        npcs = (
+            int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
+        )
         durations = self.gene_durations
         seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
         """Return the space with a fixed start (lane, speed [m/s]), number of NPCs, and genes (number, duration [s])."""
-        plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
-        return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
+        plain: dict[str, Any] = {
+            "ego_lanes": (),
+            "ego_speeds": None,
+            "most_npcs": (),
+            "gene_durations": (),
+        }
+        return replace(
+            self,
+            ego_lane=lane,
+            ego_speed=speed,
+            npcs=npcs,
+            genes=genes,
+            gene_seconds=seconds,
+            **plain,
+        )
 
     def most_on(self, lane: int) -> int:
         """Return the largest number of NPCs in a scenario in which the ego starts in ``lane``."""
@@ -365,11 +443,17 @@ class SearchSpace:
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
-        return int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1)) / SPEED_STEPS_PER_MPS
+        return (
+            int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1))
+            / SPEED_STEPS_PER_MPS
+        )
 
 
 def space_on(
-    speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, float] | None = None
+    speed_limit: float,
+    longest_run: float,
+    given: Mapping[str, Any],
+    start: tuple[int, float, float] | None = None,
 ) -> SearchSpace:
     """Return the space of scenarios for a world with a speed limit [m/s] and a maximum run duration [s].
 
@@ -430,7 +514,9 @@ def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[Positio
     # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
     steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
-    return chains_of(walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist())
+    return chains_of(
+        walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
+    )
 
 
 def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -442,17 +528,24 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
     return repaired(crossing.without_conflicts(chains, rng), fresh_seed(rng), space)
 
 
-def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
+def chains_of(
+    cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]
+) -> list[list[PositionInstruction]]:
     """Build a chain for each NPC from its cells and its speeds, which are in units of 0.1 m/s."""
     return [
-        [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        [
+            known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS)
+            for cell, speed in zip(*chain, strict=True)
+        ]
         for chain in zip(cells, speeds, strict=True)
     ]
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions."""
-    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)  # no repair, so no seed
+    return repaired(
+        random_lanes(space.choices, space.npcs, space.genes, rng), 0, space
+    )  # no repair, so no seed
 
 
 def repaired(
@@ -481,7 +574,9 @@ def repaired(
             ]
         )
         npcs = tuple(next(fitting) if chain[0].on_grid else chain for chain in npcs)
-    make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is a user's input, so check it
+    make = (
+        Scenario.trusted if isinstance(start, Scenario) else Scenario
+    )  # a space is a user's input, so check it
     return make(
         npcs=npcs,
         seed=seed,

@@ -32,7 +32,11 @@ DISPLACEMENT = 1.0
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
     """Return a vehicle's manoeuvre at a tick or shortly before it. Vehicle 0 is the ego, ``i + 1`` is NPC ``i``."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
-    return "lane-change" if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT else "lane-keeping"
+    return (
+        "lane-change"
+        if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT
+        else "lane-keeping"
+    )
 
 
 # The mistakes of an ego that entered a lane.
@@ -97,4 +101,6 @@ def decide_contested(found: Attribution, seconds: float | None) -> Attribution:
     if not seconds:
         return replace(found, responsibility="npc", fault=None, mistake=None, takeover=seconds)
     fault = found.contested
-    return replace(found, responsibility="both", fault=fault, mistake=BY_FAULT[fault], takeover=seconds)
+    return replace(
+        found, responsibility="both", fault=fault, mistake=BY_FAULT[fault], takeover=seconds
+    )

@@ -17,7 +17,18 @@ from pytest_pafot.attribution.sentences import Happened, sentences_on
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.criticality.measures import Boxes, last_stretch, overlaps, relate, stretches
 from pytest_pafot.model.crossings import Stretch, Zone
-from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.model.trace import (
+    ACROSS,
+    ALONG,
+    HEADING,
+    LANE,
+    OFFSET,
+    SPEED,
+    FloatArray,
+    Trace,
+    X,
+    Y,
+)
 
 # "none": there was no collision, or neither vehicle could foresee the other in time at a junction.
 Responsibility = Literal["ego", "npc", "both", "none"]
@@ -64,7 +75,9 @@ HARDEST = 6.0
 # The usual headway of two seconds to a leader of equal speed must never be a fault. With these values it is safe up to
 # 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower accelerates during its response time, which would
 # require more than two seconds. A leader brakes at 8 m/s^2 at most, like an NPC.
-DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=HARDEST, hardest_braking=8.0)
+DISTANCES = RssRules(
+    ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=HARDEST, hardest_braking=8.0
+)
 # The braking [m/s^2] that a lane change, or a vehicle at a junction, may impose on another vehicle, and the time until
 # that braking starts [s] (UN R79, 5.6.4.7).
 GENTLY, AFTER = 3.0, 0.4
@@ -149,13 +162,17 @@ def rss_rule(trace: Trace) -> Attribution:
     zone = trace.zones[npc] if trace.zones else None
     found = Conflict(trace, npc).verdict if zone is None else _where_ways_meet(trace, npc, zone)
     # The rules excuse an ego that ran into an NPC without time to respond. Only a simulation shows whether it had time.
-    is_contested = hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
+    is_contested = (
+        hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
+    )
     return Attribution(
         responsibility=found.responsibility,
         tick=found.tick,
         time=found.tick / hz,
         fault=found.fault if found.responsibility in ("ego", "both") else None,
-        sentences=sentences_on(trace, frame_of(trace), npc, found.happened, found.vehicle, found.tick),
+        sentences=sentences_on(
+            trace, frame_of(trace), npc, found.happened, found.vehicle, found.tick
+        ),
         contested=found.fault if is_contested else None,
     )
 
@@ -199,8 +216,12 @@ class Conflict:
         self._end, self._hz, frame = trace.ticks, trace.physics_hz, self._frame
         self._ahead = frame.ahead[npc]  # of the NPC, from the ego
         self._gaps = np.abs(self._ahead) - frame.half_along[0] - frame.half_along[npc + 1]
-        self._met = last_stretch(frame.gap_across[:, npc] <= 0)  # from here to the impact they were in the same track
-        self.danger = last_stretch(self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9))
+        self._met = last_stretch(
+            frame.gap_across[:, npc] <= 0
+        )  # from here to the impact they were in the same track
+        self.danger = last_stretch(
+            self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9)
+        )
         self._before = max(self.danger - 1, 0)  # the last safe tick; responses count from here
 
     @cached_property
@@ -228,7 +249,12 @@ class Conflict:
         away = tracks[:, vehicle, ACROSS] - centre
         over = np.abs(away) - self._frame.half_across[vehicle] < widths[np.maximum(lanes, 0)] / 2
         towards = -np.sign(away) * self._frame.drift[vehicle] >= DRIFTING
-        came = over[1 : end + 1] & ~over[:end] & towards[1 : end + 1] & (lanes[1 : end + 1] == lanes[:end])
+        came = (
+            over[1 : end + 1]
+            & ~over[:end]
+            & towards[1 : end + 1]
+            & (lanes[1 : end + 1] == lanes[:end])
+        )
         ticks = np.flatnonzero(came) + 1
         return int(ticks[-1]) if ticks.size and ticks[-1] >= self._met - RECENT * self._hz else -1
 
@@ -247,7 +273,9 @@ class Conflict:
         if self._could_avoid(npc, max(led, self._before), DELAY, later=False):
             return self._npc_followed(led, moved._replace(responsibility="npc"))
         # It left too little room, but an NPC that could have braked anyway shares the responsibility.
-        could = self._gaps[tick] >= NEXT_TO and self._could_avoid(npc, max(tick, self._before), DELAY)
+        could = self._gaps[tick] >= NEXT_TO and self._could_avoid(
+            npc, max(tick, self._before), DELAY
+        )
         return moved._replace(responsibility="both" if could else "ego")
 
     def _npc_moved_in(self, tick: int) -> Ruling:
@@ -256,7 +284,10 @@ class Conflict:
         moved = Ruling("npc", tick, "moved", self._npc, "cut-in-unanswered")
         if gap > 0 and self._ahead[tick] < 0:
             return self._npc_followed(tick, moved, moved_in=True)
-        since, is_blocked = tick, gap < BLOCKED * speed[tick] and bool(self._hard_brakings(self._npc, tick + 1))
+        since, is_blocked = (
+            tick,
+            gap < BLOCKED * speed[tick] and bool(self._hard_brakings(self._npc, tick + 1)),
+        )
         has_slowed = speed[self._end] < speed[tick] - SLOWED
         # An NPC that cuts in very close and brakes hard gives an ego that slows down one more second.
         if is_blocked and has_slowed:
@@ -277,7 +308,10 @@ class Conflict:
         moves = [drift >= DRIFTING for drift in drifts]
         # If neither moved sideways, the vehicle over the line of its lane is responsible, or else the NPC.
         if moves[0] == moves[1] and not moves[0]:
-            tracks, lanes = self._trace.road.track[tick, :, OFFSET], self._trace.states[tick, :, LANE].astype(int)
+            tracks, lanes = (
+                self._trace.road.track[tick, :, OFFSET],
+                self._trace.states[tick, :, LANE].astype(int),
+            )
             for index, (vehicle, way) in enumerate(((0, side), (npc, -side))):
                 half = self._trace.lanes[max(lanes[vehicle], 0)].width / 2
                 moves[index] = bool(way * tracks[vehicle] + frame.half_across[vehicle, tick] > half)
@@ -290,7 +324,11 @@ class Conflict:
         # Rule 3: would an ordinary response of the follower, at the first tick or, with `later`, at any tick after it,
         # have avoided the impact? Until the delay [s] is over, the follower drives as recorded, but never speeds up.
         # Then it brakes at 6 m/s^2 while it is faster than the other vehicle, which drives as recorded.
-        own, other, end = self._frame.speed[behind], self._frame.speed[self._npc - behind], self._end
+        own, other, end = (
+            self._frame.speed[behind],
+            self._frame.speed[self._npc - behind],
+            self._end,
+        )
         starts = np.arange(first, end if later else min(first + 1, end))
         starts = starts[(self._ahead[starts] < 0) if behind else (self._ahead[starts] > 0)]
         if not starts.size:
@@ -304,12 +342,16 @@ class Conflict:
             driven = np.where(tick < starts, own[tick + 1], np.minimum(speed, own[tick + 1]))
             speed = np.where(tick + 1 >= due, braked, driven)
         # At the impact, it must be farther back than the distance that it still needs to lose its excess speed.
-        return bool((back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any())
+        return bool(
+            (back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any()
+        )
 
     def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
         # The first tick of each hard braking, and the first tick after it, relative to `first`.
         found = stretches(braking(self._trace, vehicle)[first : self._end + 1] > HARD)
-        return [(begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz]
+        return [
+            (begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz
+        ]
 
     def _npc_followed(self, duty: int, found: Ruling, *, moved_in: bool = False) -> Ruling:
         # Rule 4. The NPC has to respond from the tick `duty`. If it moved in behind the ego, it chose the distance.
@@ -327,7 +369,9 @@ class Conflict:
         # and a stop of at least 3 s.
         speed, hz, end = self._trace.ego[:, SPEED], self._hz, self._end
         hard = self._hard_brakings(0)
-        found: list[tuple[int, int, Fault]] = [(until - 1, begin - 1, "braked-for-nothing") for begin, until in hard]
+        found: list[tuple[int, int, Fault]] = [
+            (until - 1, begin - 1, "braked-for-nothing") for begin, until in hard
+        ]
         stopped = last_stretch(speed <= STANDING_SPEED)
         if speed[end] <= STANDING_SPEED and 0 < stopped <= end - LONG * hz:
             slows = np.append(np.diff(speed[: stopped + 1]) < 0, True)
@@ -341,7 +385,10 @@ class Conflict:
             since = max(until, self._before)
             if lasts and behind[end] <= behind[since : end + 1].min() + DROVE_ON:
                 # A reason counts from a second before the start of the braking until the braking counts as hard.
-                ticks = slice(max(begin - round(DELAY * hz), 0), min(begin + round(HARD_SECONDS * hz), end) + 1)
+                ticks = slice(
+                    max(begin - round(DELAY * hz), 0),
+                    min(begin + round(HARD_SECONDS * hz), end) + 1,
+                )
                 if not reasons(self._trace, ticks).any():
                     return begin, fault
         return None
@@ -357,7 +404,9 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
     slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
     # A vehicle in the same track is too close by RSS, near a collision, or near and brakes hard.
     is_near, safe = along <= NEAR_SECONDS * speed, frame.safe_along(DISTANCES).T[:, ticks]
-    is_close = (along < np.maximum(safe, STANDSTILL_GAP)) | (along < NEAR_SECONDS * (speed - others))
+    is_close = (along < np.maximum(safe, STANDSTILL_GAP)) | (
+        along < NEAR_SECONDS * (speed - others)
+    )
     is_close |= is_near & (slowed > HARD)
     # A near vehicle moves in from the next lane.
     lane = trace.lanes[max(int(trace.states[ticks.stop - 1, 0, LANE]), 0)]
@@ -373,9 +422,14 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
     for npc, zone in enumerate(trace.zones):
         if zone is not None:
             own = nears(trace.track_of(0)[ticks, ALONG], trace.ego[ticks, SPEED], zone.ego)
-            found |= own & nears(trace.way_of(npc)[ticks], trace.states[ticks, npc + 1, SPEED], zone.npc)
+            found |= own & nears(
+                trace.way_of(npc)[ticks], trace.states[ticks, npc + 1, SPEED], zone.npc
+            )
     # The lane ends soon.
-    finish = (lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading))
+    finish = (
+        lane.x + lane.length * math.cos(lane.heading),
+        lane.y + lane.length * math.sin(lane.heading),
+    )
     finish = lane.points[-1] if lane.points else finish
     starts = [each.points[0] if each.points else (each.x, each.y) for each in trace.lanes]
     if all(math.dist(finish, start) >= 1.0 for start in starts):  # no other lane continues it
@@ -406,7 +460,9 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
         pairs = ((ego, other), (other, ego))
         holder = {"ego": ego, "npc": other}.get(zone.priority)
         owing = [own.vehicle for own, it in pairs if own is not holder and own.did_not_give_way(it)]
-        taken = [own.vehicle for own, it in pairs if own.vehicle not in owing and own.saw_it_taken(it)]
+        taken = [
+            own.vehicle for own, it in pairs if own.vehicle not in owing and own.saw_it_taken(it)
+        ]
         if owing or taken:
             first, failed = (ego, other)[(owing or taken)[0] > 0], {*owing, *taken}
             who: Responsibility = "both" if len(failed) > 1 else "npc" if 0 not in failed else "ego"
@@ -464,7 +520,10 @@ class Passing:
         # Crossing: the other vehicle would have to brake harder than GENTLY. Merging: behind, it is closer than a lane
         # change permits; ahead, it is closer than the safe distance.
         if not self._merges:
-            return other.begins - place < faster * DELAY + faster**2 / (2 * GENTLY) and place < other.ends
+            return (
+                other.begins - place < faster * DELAY + faster**2 / (2 * GENTLY)
+                and place < other.ends
+            )
         lead = float((other.ends - place) - (self.ends - self.places[entry]))
         gap, own = abs(lead) - self.half_length - other.half_length, self.speeds[entry]
         if lead >= 0:
@@ -484,9 +543,14 @@ class Passing:
         # Crossing: could it still stop before it touched the other at its final position?
         poses = self._trace.states[:, self.vehicle], self._trace.states[-1:, other.vehicle]
         mine, its = (
-            Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
+            Boxes.driving(
+                *rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None]
+            )
             for rows, each in zip(poses, (self, other), strict=True)
         )
         touched = last_stretch(overlaps(relate(mine, its)))
         tick = self._stops(touched, float(self.places[touched]))
-        return tick >= other.entry and other._foreseen(tick, max(self.entry, tick) / self._hz) < other.ends
+        return (
+            tick >= other.entry
+            and other._foreseen(tick, max(self.entry, tick) / self._hz) < other.ends
+        )

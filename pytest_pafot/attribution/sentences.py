@@ -23,7 +23,12 @@ Happened = Literal["moved", "close", "sideways", "braked", "stopped", "entered",
 
 # The responsible side, as named in headlines and on the report page.
 AT_FAULT: Mapping[str, str] = MappingProxyType(
-    {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "neither at fault"}
+    {
+        "ego": "ego at fault",
+        "npc": "NPC at fault",
+        "both": "both at fault",
+        "none": "neither at fault",
+    }
 )
 ALSO = "There was also a collision in this run."
 """The sentence before the headline of a collision, if the run failed for another reason."""
@@ -37,12 +42,16 @@ BRAKES, TOLD, PHASES = 0.5, 2.0, 3
 LOST, SAME = 0.2, 0.05
 
 
-def responsible_sentence(responsibility: str, npc: int | None, takeover: float | None = None) -> str:
+def responsible_sentence(
+    responsibility: str, npc: int | None, takeover: float | None = None
+) -> str:
     """Return a sentence about the responsible side, and one about the takeover [s before the impact] if it is known."""
     if npc is None:
         return "The ego is responsible, because a fixed object does not move."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}
-    told = f"{who[responsibility]} is" if responsibility in who else f"The ego and NPC {npc} are both"
+    told = (
+        f"{who[responsibility]} is" if responsibility in who else f"The ego and NPC {npc} are both"
+    )
     avoids = "" if takeover is None else f" {takeovers.sentence(takeover)}"
     return f"{told} responsible.{avoids}"
 
@@ -73,10 +82,16 @@ def impact(
     if side == "rear" and way == "backwards":
         return f"the ego drove backwards into NPC {npc} {when}"
     if side == "rear":
-        return f"NPC {npc} hit the {'ego from behind' if way == 'along' else 'rear of the ego'} {when}"
+        return (
+            f"NPC {npc} hit the {'ego from behind' if way == 'along' else 'rear of the ego'} {when}"
+        )
     if whence and side is not None:
         crossing = f"NPC {npc}, which came {whence},"
-        return f"the ego hit {crossing} {when}" if side == "front" else f"{crossing} hit the ego's {side} side {when}"
+        return (
+            f"the ego hit {crossing} {when}"
+            if side == "front"
+            else f"{crossing} hit the ego's {side} side {when}"
+        )
     if side == "front" and cell is Cell.FRONT and way in ("along", "towards"):
         return f"the ego hit NPC {npc} {'from behind' if way == 'along' else 'head-on'} {when}"
     if side == "front":
@@ -96,7 +111,11 @@ def sentences_on(
 
     def place(of: float, whom: str, tick: int) -> str:
         gap = abs(of) - float(half[tick])
-        return f"next to {whom}" if gap <= 0 else f"{gap:.1f} m {'ahead of' if of > 0 else 'behind'} {whom}"
+        return (
+            f"next to {whom}"
+            if gap <= 0
+            else f"{gap:.1f} m {'ahead of' if of > 0 else 'behind'} {whom}"
+        )
 
     told = []
     match happened:
@@ -110,8 +129,12 @@ def sentences_on(
         case "braked":
             told = [f"{who} started to brake at {at} with nothing in its way."]
         case "stopped":
-            stood = (end - int(np.flatnonzero(np.append(-1.0, trace.ego[:, SPEED])[: end + 2] > 0.1)[-1])) / hz
-            told = [f"{who} started to slow down at {at} with nothing in its way, and stood still for {stood:.1f} s."]
+            stood = (
+                end - int(np.flatnonzero(np.append(-1.0, trace.ego[:, SPEED])[: end + 2] > 0.1)[-1])
+            ) / hz
+            told = [
+                f"{who} started to slow down at {at} with nothing in its way, and stood still for {stood:.1f} s."
+            ]
         case "entered":
             told = _entered(trace, npc, trace.zones[npc])
         case "elsewhere":
@@ -121,7 +144,9 @@ def sentences_on(
     # if the NPC is not on the ego's path.
     crosses = bool(trace.zones and trace.zones[npc])
     is_told = crosses or (happened, since) == ("moved", tick) or bool(np.isnan(ahead[since]))
-    towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
+    towards = (
+        " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
+    )
     # The NPC's lane is named if the ego was in another lane. The lane at the impact is named if the NPC changed lanes.
     then, last = (int(each) for each in trace.road.numbers(npc + 1)[[since, end]])
     in_lane = f"in lane {then}, " if then not in (-1, int(trace.road.numbers(0)[since])) else ""
@@ -143,11 +168,17 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
     if zone is None:
         return []
     times = []
-    for places, (begins, _) in ((trace.track_of(0)[:, ALONG], zone.ego), (trace.way_of(npc), zone.npc)):
+    for places, (begins, _) in (
+        (trace.track_of(0)[:, ALONG], zone.ego),
+        (trace.way_of(npc), zone.npc),
+    ):
         times.append(last_stretch(places >= begins) / trace.physics_hz)
     where, whom = "merge" if zone.kind == "merging" else "crossing", vehicle_name(npc + 1)
     holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
-    told = [f"entered the {where} at {times[0]:.1f} s", f"{whom} entered it {zone.whence} at {times[1]:.1f} s"]
+    told = [
+        f"entered the {where} at {times[0]:.1f} s",
+        f"{whom} entered it {zone.whence} at {times[1]:.1f} s",
+    ]
     return [f"the ego {', and '.join(told)}. {holder} had priority."]
 
 
@@ -182,7 +213,12 @@ def _deed(
                 when = f"{when} ({gaps[since + first]:.1f} m behind {leader})".lstrip()
         has_braked |= is_braking
         how = "braked" if is_braking else "slowed" if change < 0 else "sped up"
-        told.append((when, f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{rate}"))
+        told.append(
+            (
+                when,
+                f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{rate}",
+            )
+        )
     then = f" from {since / hz:.1f} s on" if since and (gaps is not None or not is_told) else ""
     # The time stands after the first phase that is shown, and before the others.
     texts = [

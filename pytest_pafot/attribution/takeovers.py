@@ -45,7 +45,9 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
     streak, is_known = 0, True
     for number in range(1, round(WINDOW / STEP) + 1):
         avoids: bool | None = True
-        if _tick(trace, number * STEP) >= 0:  # before the start of the run, a takeover needs no simulation
+        if (
+            _tick(trace, number * STEP) >= 0
+        ):  # before the start of the run, a takeover needs no simulation
             taken = drive(trace, number * STEP, take_over)
             if taken is None:
                 return None
@@ -64,16 +66,23 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     # The run must not end before it is known that the driver touches no vehicle.
     taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
     repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-    return taken if repeated.shape == recorded.shape and (np.abs(repeated - recorded) <= ROUNDING).all() else None
+    return (
+        taken
+        if repeated.shape == recorded.shape and (np.abs(repeated - recorded) <= ROUNDING).all()
+        else None
+    )
 
 
 def sentence(seconds: float) -> str:
     """Return the sentence that states a result of :func:`latest`."""
     if not seconds:
         return (
-            f"A careful driver who took control in the last {WINDOW:g} s could not reliably have avoided the collision."
+            f"A careful driver who took control in the last {WINDOW:g} s could not reliably "
+            "have avoided the collision."
         )
-    return f"A careful driver who took control {seconds:g} s before the impact would have avoided it."
+    return (
+        f"A careful driver who took control {seconds:g} s before the impact would have avoided it."
+    )
 
 
 def _tick(trace: Trace, seconds: float) -> int:
@@ -94,5 +103,9 @@ def _avoids(taken: Trace, trace: Trace) -> bool | None:
     is_hit = hit is not None and hit.tick <= _until(trace)
     if hit is not None and is_hit and (then is None or hit.npc == then.npc or hit.side != "rear"):
         return False
-    is_cut = taken.outcome in (Outcome.INVALID, Outcome.ADS_ERROR, Outcome.HANG) and taken.ticks < _until(trace)
+    is_cut = taken.outcome in (
+        Outcome.INVALID,
+        Outcome.ADS_ERROR,
+        Outcome.HANG,
+    ) and taken.ticks < _until(trace)
     return None if is_cut or taken.ticks < _impact(trace) else True

@@ -33,13 +33,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "list each saved scenario with its failure, its test, and the commit that added it"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
     of_folders = "search this folder and all folders below it (default: the current folder)"
-    listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "accept the failures of saved scenarios, which are then expected to fail until a given day"
+    listing.add_argument(
+        "folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders
+    )
+    about = (
+        "accept the failures of saved scenarios, which are then expected to fail until a given day"
+    )
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept the failure of this scenario (a file or an id)")
-    accepting.add_argument("--reason", required=True, metavar="TEXT", help="give a reason, such as an issue number")
+    accepting.add_argument(
+        "ids", nargs="+", metavar="ID", help="accept the failure of this scenario (a file or an id)"
+    )
+    accepting.add_argument(
+        "--reason", required=True, metavar="TEXT", help="give a reason, such as an issue number"
+    )
     of_until = "expect the failures until the end of this day, which must not be in the past"
-    accepting.add_argument("--until", required=True, type=_last_day, metavar="YYYY-MM-DD", help=of_until)
+    accepting.add_argument(
+        "--until", required=True, type=_last_day, metavar="YYYY-MM-DD", help=of_until
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -48,16 +58,24 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return max(_accept(name, arguments.reason, arguments.until) for name in arguments.ids)
     for folder in arguments.folders:
         if not folder.is_dir():
-            sys.stderr.write(f"corpus: expected an existing folder, received {visible(str(folder))}\n")
+            sys.stderr.write(
+                f"corpus: expected an existing folder, received {visible(str(folder))}\n"
+            )
             return NO_FOLDER
-    unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
+    unlisted = {
+        place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()
+    }
     for place, why in unlisted.items():
         sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
-    below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}  # each once
+    below = {
+        below.resolve(): below for folder in arguments.folders for below in folders_below(folder)
+    }  # each once
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
     added = added_in(arguments.folders)
     sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios were found"]
+    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or [
+        "no saved scenarios were found"
+    ]
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
 
@@ -70,7 +88,11 @@ def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -
         test = "" if finding is None else finding.test.partition("::")[2]
         rows.append((ascii_text(each.id), ascii_text(test), " ".join(since or ())))
         about = each.error if finding is None else finding.expect.brief
-        accepted = f"; accepted: {finding.accepted}" if finding is not None and finding.xfail is not None else ""
+        accepted = (
+            f"; accepted: {finding.accepted}"
+            if finding is not None and finding.xfail is not None
+            else ""
+        )
         texts.append(ascii_text(f"{about}{accepted}"))
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     for row, text in zip(rows if len(rows) > 1 else [], texts, strict=False):
@@ -96,10 +118,14 @@ def _accept(name: str, reason: str, until: date) -> int:
         line = text_of(finding).rstrip().rpartition("\n")[2].encode()
         is_there = XFAIL_LINE.search(content) is not None
         accepted = (
-            XFAIL_LINE.sub(lambda _: line, content, count=1) if is_there else content.rstrip() + b"\n" + line + b"\n"
+            XFAIL_LINE.sub(lambda _: line, content, count=1)
+            if is_there
+            else content.rstrip() + b"\n" + line + b"\n"
         )
         if parsed(path, accepted) != finding:
-            raise ValueError(f"{path}: expected one line `xfail:`, received several. Write `{line.decode()}` by hand")
+            raise ValueError(
+                f"{path}: expected one line `xfail:`, received several. Write `{line.decode()}` by hand"
+            )
         write_whole(path, accepted)
     except OSError as error:
         fix = way_out(error, "then run the command again")

@@ -30,7 +30,9 @@ ABOUT_POLICIES = (
 )
 
 
-def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
+def ads_factory(
+    reference: str, option: str = "--ads", what: str = "a factory"
+) -> Callable[..., Any]:
     """Return the policy factory that the user names on the command line.
 
     Args:
@@ -64,7 +66,11 @@ def whole_name(reference: str) -> str:
     # Example policies come from the clone in which the command runs, or else from the installed package.
     reference = reference.removesuffix(PLANNER)
     name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
-    return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name
+    return (
+        f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}"
+        if name.startswith(f"{EXAMPLES}.")
+        else name
+    )
 
 
 def add_world_arguments(
@@ -81,7 +87,11 @@ def add_world_arguments(
 
 
 def chosen_world(
-    reference: str | None, config: str | None = None, policies: Iterable[str] = (), *, is_planner: bool = False
+    reference: str | None,
+    config: str | None = None,
+    policies: Iterable[str] = (),
+    *,
+    is_planner: bool = False,
 ) -> Any:
     """Return the world that ``--world`` and ``--config`` describe, or None.
 
@@ -116,7 +126,9 @@ def check_function(reference: str) -> Callable[..., Any]:
         RequestError: if there is no such function.
     """
     if reference.count(":") != 1:
-        raise RequestError(f"--check: expected module:function, received {reference!r}. The function must take a run")
+        raise RequestError(
+            f"--check: expected module:function, received {reference!r}. The function must take a run"
+        )
     function = ads_factory(reference, "--check", "a function that takes a run")
     check_asserts(function)
     return function

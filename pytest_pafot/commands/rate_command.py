@@ -12,7 +12,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world, worker_count
+from pytest_pafot.commands.policy_reference import (
+    add_world_arguments,
+    ads_factory,
+    chosen_world,
+    worker_count,
+)
 from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
@@ -42,7 +47,11 @@ class Rate:
     @property
     def failed(self) -> dict[int, str]:
         """The reasons why episodes were not completed, by the episodes' seeds."""
-        return {each.seed: why for each in self.episodes if (why := each.error.text if each.error else each.undriven)}
+        return {
+            each.seed: why
+            for each in self.episodes
+            if (why := each.error.text if each.error else each.undriven)
+        }
 
     @property
     def driven(self) -> int:
@@ -138,13 +147,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     of_whom = "a module of example_ads, module:factory, or module:factory:argument. Append @planner if it receives a "
     of_whom += "pafot.Observation and returns acceleration and steering"
-    parser.add_argument("--ads", required=True, metavar="ADS", help=f"drive with this policy: {of_whom}")
+    parser.add_argument(
+        "--ads", required=True, metavar="ADS", help=f"drive with this policy: {of_whom}"
+    )
     of_against = "also drive with this policy, on the same seeds; you can repeat this option"
     parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
     add_world_arguments(parser, "it must be an environment", is_needed=True)
-    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="run N episodes (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="start with the seed N (default: %(default)s)")
-    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=1000,
+        metavar="N",
+        help="run N episodes (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="start with the seed N (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="use N processes (default: one per core)"
+    )
     parser.add_argument(
         "--fail-above",
         metavar="SHARE",
@@ -161,22 +186,32 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     """
     for name, least in (("episodes", 1), ("seed", 0)):
         if (value := getattr(given, name)) < least:
-            raise RequestError(f"--{name}: expected a whole number, at least {least}, received {value}")
+            raise RequestError(
+                f"--{name}: expected a whole number, at least {least}, received {value}"
+            )
     names = (given.ads, *given.against)
     if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
         raise RequestError(f"--against: expected each policy only once, received {twice!r} again")
     limit, found = _limit_of(given), {name: list[Episode]() for name in names}
     environment_of(given)  # errors in the options must come before the first episode
-    tasks = [(name, seed) for seed in range(given.seed, given.seed + given.episodes, CHUNK) for name in names]
+    tasks = [
+        (name, seed)
+        for seed in range(given.seed, given.seed + given.episodes, CHUNK)
+        for name in names
+    ]
     started = told = time.monotonic()
     done, total, interrupt = 0, given.episodes * len(names), None
     try:
-        for (name, _), episodes in run_tasks(partial(drive_task, given), tasks, worker_count(given.workers)):
+        for (name, _), episodes in run_tasks(
+            partial(drive_task, given), tasks, worker_count(given.workers)
+        ):
             found[name] += episodes
             done, now = done + len(episodes), time.monotonic()
             if done == total or now - told > 10.0:  # a report every ten seconds
                 told, left = now, (now - started) * (total - done) / done
-                about = f", about {left / 60:.0f} min left (Ctrl-C ends early)" if left >= 60.0 else ""
+                about = (
+                    f", about {left / 60:.0f} min left (Ctrl-C ends early)" if left >= 60.0 else ""
+                )
                 sys.stderr.write(f"rate: {done} of {total} episodes{about}\n")
     except KeyboardInterrupt as interrupted:
         if not done:
@@ -187,7 +222,11 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     for rate in rates:
         first, *others = rate.lines
         hint = Policy(ads_factory(rate.ads)).loading_hint
-        lines += [f"{rate.ads} in {given.world}: {first}", *others, *([f"  {hint}"] if hint else [])]
+        lines += [
+            f"{rate.ads} in {given.world}: {first}",
+            *others,
+            *([f"  {hint}"] if hint else []),
+        ]
     lines += compare_rates(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
     sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width)))

@@ -11,7 +11,12 @@ import sys
 from collections.abc import Sequence
 
 from pytest_pafot.commands.policy_reference import add_world_arguments, chosen_world
-from pytest_pafot.commands.search_command import TEST, add_session_arguments, code_of_session, written_test
+from pytest_pafot.commands.search_command import (
+    TEST,
+    add_session_arguments,
+    code_of_session,
+    written_test,
+)
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searches.saved_scenario import load
@@ -40,9 +45,15 @@ ENDS = (Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument("file", metavar="FILE", help="run this saved scenario, given as a file or an id")
-    parser.add_argument("--ads", metavar="ADS", help="drive with this policy: module:factory[:argument]")
-    add_world_arguments(parser, "required if the world of the file is code, such as wrappers or your own world")
+    parser.add_argument(
+        "file", metavar="FILE", help="run this saved scenario, given as a file or an id"
+    )
+    parser.add_argument(
+        "--ads", metavar="ADS", help="drive with this policy: module:factory[:argument]"
+    )
+    add_world_arguments(
+        parser, "required if the world of the file is code, such as wrappers or your own world"
+    )
     add_session_arguments(parser, None, "the run fails, 4")
     parser.set_defaults(traffic=None)
     parser.usage = "%(prog)s FILE --ads ADS [option ...] [-- option of pytest ...]"
@@ -54,12 +65,18 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     expect, test = saved.expect, ascii_text(saved.finding.test)
     if arguments.ads is None:
         expected = "a policy, such as --ads module:Class"
-        raise RequestError(f"--ads: expected {expected}, received none. The file itself contains no policy")
+        raise RequestError(
+            f"--ads: expected {expected}, received none. The file itself contains no policy"
+        )
     is_end = expect.is_crash or (expect.check is None and expect.outcome in ENDS)
     if arguments.check is None and (expect.signature.is_property or not is_end):
         expected = f"a function that takes a run and asserts the same as {test}, such as --check module:function"
-        raise RequestError(f"--check: expected {expected}, received none. The failure was: {ascii_text(expect.brief)}")
-    arguments.blame = "any" if expect.responsibility == "npc" else "ego"  # as in a test that found it
+        raise RequestError(
+            f"--check: expected {expected}, received none. The failure was: {ascii_text(expect.brief)}"
+        )
+    arguments.blame = (
+        "any" if expect.responsibility == "npc" else "ego"
+    )  # as in a test that found it
     name, text = written_test(arguments, "--ads", f"world=pafot.load({str(saved.path)!r}).world")
     saved.check_fits(chosen_world(arguments.world, arguments.config) or saved.world)
     version = saved.finding.found.versions.get("pytest-pafot", "of an unknown version")
@@ -68,5 +85,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     sys.stdout.flush()
     options = ["-mpafot_saved", flag("runs", 0), flag("corpus", CORPUS), *arguments.options]
     options += [] if arguments.report is None else [flag("report", arguments.report)]
-    files = {TEST: text, "conftest.py": f"TEST, NAME, FILE = {(TEST, name, str(saved.path))!r}{CONFTEST}"}
+    files = {
+        TEST: text,
+        "conftest.py": f"TEST, NAME, FILE = {(TEST, name, str(saved.path))!r}{CONFTEST}",
+    }
     return code_of_session(files, [*options, *arguments.pytest], {OF_SEARCH: shlex.join(command)})

@@ -82,13 +82,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_traffic = "set the driving style of the other vehicles (default: hostile)"
     parser.add_argument("--traffic", choices=tuple(STYLES), help=of_traffic)
     of_runs = f"stop after N runs (default: {RUNS})"
-    parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
+    parser.add_argument(
+        "--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs
+    )
     of_seed = "draw the scenarios with this seed (default: 0)"
-    parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
+    parser.add_argument(
+        "--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed
+    )
     of_blame = "count these collisions as failures: all (any), or all except those for which only an NPC is at "
     of_blame += "fault (ego) (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
-    of_against = "count only failures in scenarios that this second policy passes: module:factory[:argument]"
+    of_against = (
+        "count only failures in scenarios that this second policy passes: module:factory[:argument]"
+    )
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
     of_test = f"do not search, but write {TEST} and the saved findings to the current folder, for use with `pytest`"
     parser.add_argument("--write-test", action="store_true", help=of_test)
@@ -103,7 +109,12 @@ def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, cod
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = f"write the findings to this HTML file (default: {page or 'none'})"
     parser.add_argument(
-        "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=page, help=of_report
+        "--report",
+        flag("report"),
+        type=BY_NAME["report"].read,
+        metavar="FILE",
+        default=page,
+        help=of_report,
     )
     # Messages of the session name options of pytest. All options that affect a search are also accepted here.
     for option in OPTIONS:
@@ -111,7 +122,9 @@ def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, cod
             given: dict[str, Any] = {"action": "append", "type": f"{option.flag}={{}}".format}
             if option.kind == "switch":
                 given = {"action": "append_const", "const": option.flag}
-            parser.add_argument(option.flag, dest="options", default=[], help=argparse.SUPPRESS, **given)
+            parser.add_argument(
+                option.flag, dest="options", default=[], help=argparse.SUPPRESS, **given
+            )
     of_others = f"You can also use the pytest options of this package, such as {flag('isolate')}. "
     of_others += f"`pytest --help` lists them. The exit code is 1 if {codes} for wrong arguments, and 0 otherwise."
     parser.epilog = f"{parser.epilog} {of_others}"
@@ -137,18 +150,26 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     given |= {"against": against, "corpus": corpus}
     options = [f"{flag(option)}={value}" for option, value in given.items() if value is not None]
     environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-    if corpus.is_relative_to(here):  # otherwise, the command `replay` does not find the file by its id
+    if corpus.is_relative_to(
+        here
+    ):  # otherwise, the command `replay` does not find the file by its id
         own = {name: getattr(arguments, name) for name in ("ads", "world", "config", "check")}
-        environ[OF_REPLAY] = shlex.join(word for name in own if own[name] for word in (f"--{name}", own[name]))
+        environ[OF_REPLAY] = shlex.join(
+            word for name in own if own[name] for word in (f"--{name}", own[name])
+        )
     code = code_of_session({TEST: test}, [*options, *arguments.options, *arguments.pytest], environ)
     if code == TESTS_FAILED and not has_test and files_below(corpus / Path(TEST).stem):
         own_words = command[: command.index("--")] if "--" in command else command
         again = shlex.join([*own_words, "--write-test"])
-        sys.stdout.write(f"to keep this as a test, run {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n")
+        sys.stdout.write(
+            f"to keep this as a test, run {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n"
+        )
     return BAD_USE if code == USAGE_ERROR else code
 
 
-def code_of_session(files: Mapping[str, str], options: Sequence[str], environ: Mapping[str, str]) -> int:
+def code_of_session(
+    files: Mapping[str, str], options: Sequence[str], environ: Mapping[str, str]
+) -> int:
     """Run pytest on some files in a temporary folder, and return its exit code.
 
     Raises:
@@ -168,7 +189,9 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) ->
         try:
             left = process.wait()
         except KeyboardInterrupt as interrupt:
-            if not isinstance(interrupt, Ended):  # the session received Ctrl-C as well, and a second one would end it
+            if not isinstance(
+                interrupt, Ended
+            ):  # the session received Ctrl-C as well, and a second one would end it
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(LAST_SECONDS)
             raise
@@ -190,7 +213,9 @@ def _write_test(text: str, found: Mapping[Path, Path]) -> int:
     here, elsewhere = Path.cwd(), "run the command in another folder"
     try:
         if not write_if_free(here / TEST, text.encode()):
-            raise RequestError(f"--write-test: expected a folder without {TEST}, received {here}. Use another folder")
+            raise RequestError(
+                f"--write-test: expected a folder without {TEST}, received {here}. Use another folder"
+            )
         for file, kept in found.items():
             kept.parent.mkdir(parents=True, exist_ok=True)
             file.replace(kept)
@@ -227,7 +252,10 @@ def written_test(arguments: argparse.Namespace, option: str, world: str = "") ->
         holds, imports = "return holds(run)", imports + _import(arguments.check, "--check")
     name = name if name.startswith("test") else f"test_{name}"
     mark = f"@pafot.search({', '.join(given)})"
-    return name, f"import pytest_pafot as pafot\n{imports}\n\n{mark}\ndef {name}(run):\n    {holds}\n"
+    return (
+        name,
+        f"import pytest_pafot as pafot\n{imports}\n\n{mark}\ndef {name}(run):\n    {holds}\n",
+    )
 
 
 def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
@@ -241,12 +269,18 @@ def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
         return [f"world={json.dumps(arguments.world)}"], ""
     of_config = "" if config is None else f", config={config!r}"
     of_planner = "" if world.planner_hz is None else f", planner_hz={world.planner_hz}"
-    return [f"world=pafot.World({world.env_id!r}{of_config}{of_planner})"], f"import {module}\n" if name else ""
+    return [
+        f"world=pafot.World({world.env_id!r}{of_config}{of_planner})"
+    ], f"import {module}\n" if name else ""
 
 
 def _check_module(reference: str, option: str) -> None:
-    if reference.partition(":")[0] == Path(TEST).stem:  # the file of the search would hide that module
-        raise RequestError(f"{option}: expected a module other than {TEST}, received {reference}. Rename the module")
+    if (
+        reference.partition(":")[0] == Path(TEST).stem
+    ):  # the file of the search would hide that module
+        raise RequestError(
+            f"{option}: expected a module other than {TEST}, received {reference}. Rename the module"
+        )
 
 
 def _import(reference: str, option: str) -> str:
@@ -256,5 +290,7 @@ def _import(reference: str, option: str) -> str:
     for part in (*module.split("."), name):
         if not part.isidentifier() or keyword.iskeyword(part):
             received = f"{part!r} in {reference}"
-            raise RequestError(f"{option}: expected names that `import` accepts, received {received}. Rename it")
+            raise RequestError(
+                f"{option}: expected names that `import` accepts, received {received}. Rename it"
+            )
     return f"from {module} import {name} as holds\n"

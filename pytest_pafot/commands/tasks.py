@@ -38,7 +38,11 @@ def run_tasks(
         pool.expect(tasks)
         for task, answer in pool.completed():
             if pool.failure or isinstance(answer, ProcessLostError):
-                ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
+                ended = (
+                    f"its process {answer.end}"
+                    if isinstance(answer, ProcessLostError)
+                    else pool.failure
+                )
                 raise ChildProcessError(
                     f"expected a worker to finish the task {task!r}, but {ended}. Did the policy end its process? If "
                     "it ran out of memory, use fewer processes with --workers"
@@ -49,5 +53,7 @@ def run_tasks(
 
 
 def _run(work: Callable[[Any], Any], scratch: str, task: Any, tell: object) -> Any:
-    tempfile.tempdir = scratch  # deleted at the end of the command, because a killed worker deletes no files
+    tempfile.tempdir = (
+        scratch  # deleted at the end of the command, because a killed worker deletes no files
+    )
     return work(task)

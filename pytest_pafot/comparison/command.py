@@ -41,8 +41,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
     of_seconds = "stop each run after S simulated seconds (default: 3600)"
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help=of_seconds)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="derive seeds from N (default: %(default)s)")
-    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="derive seeds from N (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="use N processes (default: one per core)"
+    )
     parser.add_argument(
         "--blame",
         choices=BLAMES,
@@ -80,7 +88,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             "Choose another folder."
         )
     if len(plan.scenarios) > 1:
-        groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
+        groups = "".join(
+            f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items()
+        )
         sys.stderr.write(f"compare: warning: {DIFFERENT}\n{groups}")
     with written_into(folder):
         folder.mkdir(parents=True, exist_ok=True)

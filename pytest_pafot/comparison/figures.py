@@ -70,15 +70,25 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
     return {name: title for name, (title, _) in FIGURES.items()}
 
 
-def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
+def _curves(
+    axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]
+) -> None:
     # The mean of all runs as a curve, with a band for the middle half of the runs.
     rows, times = results.frame[counts(results.frame)], np.linspace(0.0, results.horizon, POINTS)
     for name, style, runs in _algorithms(results):
-        of_runs = [rows_of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]]
-        cumulated = np.stack([np.searchsorted(at, times, side="right") for at in of_runs]).astype(np.float64)
+        of_runs = [
+            rows_of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]
+        ]
+        cumulated = np.stack([np.searchsorted(at, times, side="right") for at in of_runs]).astype(
+            np.float64
+        )
         hours = times / SECONDS_PER_HOUR
         axes.fill_between(
-            hours, *np.quantile(cumulated, [0.25, 0.75], axis=0), color=style.colour, alpha=0.15, linewidth=0
+            hours,
+            *np.quantile(cumulated, [0.25, 0.75], axis=0),
+            color=style.colour,
+            alpha=0.15,
+            linewidth=0,
         )
         markers: Any = {"markevery": (POINTS // 12, POINTS // 6), "markersize": 4.5}
         axes.plot(hours, cumulated.mean(axis=0), label=name, **style.curve, **markers)
@@ -101,6 +111,10 @@ FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None]]] = {
     ),
     "collisions-over-time": (
         "Collisions over simulated time",
-        partial(_curves, label="unique collisions per run", counts=lambda rows: rows["outcome"] == "collision"),
+        partial(
+            _curves,
+            label="unique collisions per run",
+            counts=lambda rows: rows["outcome"] == "collision",
+        ),
     ),
 }

@@ -40,7 +40,12 @@ HOW_TO_READ = """
 """
 
 
-def report(results: Results, tests: Sequence[Comparison], command: Sequence[str], figures: Mapping[str, str]) -> str:
+def report(
+    results: Results,
+    tests: Sequence[Comparison],
+    command: Sequence[str],
+    figures: Mapping[str, str],
+) -> str:
     """Return the report.
 
     ``command`` is the command that creates it, and ``figures`` maps file names to titles.
@@ -60,7 +65,9 @@ def report(results: Results, tests: Sequence[Comparison], command: Sequence[str]
 def _head(results: Results, command: Sequence[str]) -> str:
     plan = results.plan
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
-    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
+    groups = "\n".join(
+        f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items()
+    )
     warning = "" if len(plan.scenarios) == 1 else f"\n**Warning:** {DIFFERENT}.\n"
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}
@@ -90,7 +97,10 @@ def _distinct(results: Results) -> str:
         rows.append(
             [
                 name,
-                *(f"{each['signature'].nunique()}" for each in (own, own[own["outcome"].isin(FAULTS)])),
+                *(
+                    f"{each['signature'].nunique()}"
+                    for each in (own, own[own["outcome"].isin(FAULTS)])
+                ),
                 f"{runs['distinct'].mean():.2f}",
                 f"{(runs['distinct'] > 0).sum()} of {len(runs)}",
                 "not reached" if math.isinf(median) else f"{median:.0f} s",
@@ -119,9 +129,16 @@ def _collisions(results: Results) -> str:
         rows.append(
             [
                 name,
-                *(f"{total.collisions:.0f} of {total.scenarios:.0f}", _share(total.collisions, total.scenarios)),
+                *(
+                    f"{total.collisions:.0f} of {total.scenarios:.0f}",
+                    _share(total.collisions, total.scenarios),
+                ),
                 "no collision" if math.isinf(each) else f"{each:.2f} s",
-                *(f"{total.by_ego:.0f}", f"{total.by_npc:.0f}", _share(total.by_npc, total.collisions)),
+                *(
+                    f"{total.by_ego:.0f}",
+                    f"{total.by_npc:.0f}",
+                    _share(total.by_npc, total.collisions),
+                ),
             ]
         )
     header = [
@@ -144,7 +161,10 @@ def _statistics(tests: Sequence[Comparison]) -> str:
     rows = [
         [
             *(each.measure, each.first, each.second),
-            *("none" if math.isinf(value) else f"{value:.4g}" for value in (each.value_first, each.value_second)),
+            *(
+                "none" if math.isinf(value) else f"{value:.4g}"
+                for value in (each.value_first, each.value_second)
+            ),
             "" if each.a12 is None else f"{each.a12:.2f} [{each.a12_low:.2f}, {each.a12_high:.2f}]",
             *(_p(each.p), _p(each.p_holm), each.test),
         ]

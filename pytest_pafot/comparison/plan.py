@@ -52,7 +52,9 @@ class Entrant(NamedTuple):
 
     algorithm: AlgorithmClass
     seconds: float | None = None  # duration of its runs [s]; None for the world's duration
-    is_papers: bool = False  # whether it has the paper's scenarios instead of the scenarios of a test
+    is_papers: bool = (
+        False  # whether it has the paper's scenarios instead of the scenarios of a test
+    )
 
     @classmethod
     def parse(cls, given: str) -> Entrant:
@@ -92,7 +94,9 @@ class Plan:
     seconds: float = 3600.0  # simulated time of a run, after which no scenario starts [s]
     seed: int = 0  # the base seed, from which the seeds of all runs are derived
     blame: str = "any"  # `any` counts all collisions as failures, as the paper does; for `ego` see `pafot.search`
-    fitness: str | None = None  # the fitness of all algorithms; None for the fitness of each algorithm
+    fitness: str | None = (
+        None  # the fitness of all algorithms; None for the fitness of each algorithm
+    )
     world: str | None = None  # as on the command line
     config: str | None = None  # as on the command line
     duration: float | None = None  # duration of a scenario [s]; None for the duration of the world
@@ -114,8 +118,14 @@ class Plan:
         Raises:
             RequestError: if an option has a value that the world does not accept.
         """
-        road = {name: value for name in ("duration", "clearance") if (value := getattr(self, name)) is not None}
-        world = chosen_world(self.world, self.config, [self.ads], is_planner=self.ads.endswith(PLANNER))
+        road = {
+            name: value
+            for name in ("duration", "clearance")
+            if (value := getattr(self, name)) is not None
+        }
+        world = chosen_world(
+            self.world, self.config, [self.ads], is_planner=self.ads.endswith(PLANNER)
+        )
         if world is None:
             return Highway(**road)
         if isinstance(world, World):
@@ -146,7 +156,10 @@ class Plan:
         world = replace(own, duration=seconds)
         # All genes are equally long, in whole ticks, and not longer than the genes of the plan. Sampled
         # durations stay as they are.
-        ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
+        ticks, least = (
+            round(seconds * world.physics_hz),
+            math.ceil(seconds / space.gene_seconds - 1e-9),
+        )
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
 
@@ -184,7 +197,9 @@ class Plan:
             blame=self.blame,
             fitness=self.fitness,
             seconds=self.seconds,
-            generations=math.ceil(self.seconds),  # runs of an ADS that fails immediately take no simulated time
+            generations=math.ceil(
+                self.seconds
+            ),  # runs of an ADS that fails immediately take no simulated time
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:
@@ -199,17 +214,27 @@ class Plan:
             RequestError: for the first invalid option, with its name.
         """
         if not self.algorithms:
-            raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, but received none")
+            raise RequestError(
+                f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, but received none"
+            )
         if self.runs < 1:
-            raise RequestError(f"--runs: expected a whole number, at least 1, but received {self.runs}")
+            raise RequestError(
+                f"--runs: expected a whole number, at least 1, but received {self.runs}"
+            )
         if not 0 < self.seconds < math.inf:
-            raise RequestError(f"--seconds: expected a simulated time greater than 0 s, but received {self.seconds:g}")
+            raise RequestError(
+                f"--seconds: expected a simulated time greater than 0 s, but received {self.seconds:g}"
+            )
         if self.seed < 0:
-            raise RequestError(f"--seed: expected a whole number, at least 0, but received {self.seed}")
+            raise RequestError(
+                f"--seed: expected a whole number, at least 0, but received {self.seed}"
+            )
         try:
             repeated = sorted({name for name in self.names if self.names.count(name) > 1})
             if repeated:
-                raise RequestError(f"--algorithms: expected each name once, but received {', '.join(repeated)} again")
+                raise RequestError(
+                    f"--algorithms: expected each name once, but received {', '.join(repeated)} again"
+                )
             for name in self.names:
                 self.run(name, 0)
         except ValueError as error:

@@ -48,7 +48,9 @@ class Results:
 
 def read_rows(path: Path) -> pd.DataFrame:
     """Read the rows of a comparison, and add a column ``is_ego_failure``."""
-    frame = pd.read_csv(path, dtype={"scenario": str, "signature": str}, keep_default_na=False, na_values=[""])
+    frame = pd.read_csv(
+        path, dtype={"scenario": str, "signature": str}, keep_default_na=False, na_values=[""]
+    )
     by_ego = (frame["outcome"] == "collision") & frame["responsibility"].isin(["ego", "both"])
     frame["is_ego_failure"] = by_ego | frame["outcome"].isin(FAULTS)
     return frame
@@ -58,7 +60,9 @@ def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
     """Yield an error for each algorithm for which the ego did not drive in most scenarios."""
     is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
     ended = rows["ended"].astype(object)
-    lacks = ended.where(ended.notna(), rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
+    lacks = ended.where(ended.notna(), rows["outcome"]).where(
+        is_short | (rows["outcome"] == "invalid")
+    )
     for name, each in lacks.groupby(rows["algorithm"], sort=False):
         if 2 * each.count() > len(each):
             yield (
@@ -80,13 +84,24 @@ def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
     columns = {
         "scenarios": (counted, "sum"),  # unique ones, which are those that were simulated
         "collisions": (hits, "sum"),
-        "by_npc": (hits & (frame["responsibility"] == "npc"), "sum"),  # collisions with only the NPC responsible
-        "by_ego": (hits & frame["is_ego_failure"], "sum"),  # collisions with the ego responsible, maybe with the NPC
-        "distinct": (frame["signature"].where(failures), "nunique"),  # failures of the ego, including ADS errors
+        "by_npc": (
+            hits & (frame["responsibility"] == "npc"),
+            "sum",
+        ),  # collisions with only the NPC responsible
+        "by_ego": (
+            hits & frame["is_ego_failure"],
+            "sum",
+        ),  # collisions with the ego responsible, maybe with the NPC
+        "distinct": (
+            frame["signature"].where(failures),
+            "nunique",
+        ),  # failures of the ego, including ADS errors
         # Simulated time until the first failure of the ego [s]; infinite without one.
         "first_failure": (frame["clock"].where(failures, math.inf), "min"),
     }
-    all_rows = frame[["algorithm", "run"]].assign(**{name: column for name, (column, _) in columns.items()})
+    all_rows = frame[["algorithm", "run"]].assign(
+        **{name: column for name, (column, _) in columns.items()}
+    )
     by_run = all_rows.groupby(["algorithm", "run"], sort=False)
     runs = by_run.agg({name: how for name, (_, how) in columns.items()}).reset_index()
     runs["share"] = (runs["collisions"] / runs["scenarios"]).fillna(0.0)
@@ -127,14 +142,20 @@ class Survival:
 
     times: FloatArray  # times at which the estimated fraction decreases
     shares: FloatArray  # the fraction after each of these times
-    median: float  # the first time at which the fraction is at most one half; infinite if there is none
+    median: (
+        float  # the first time at which the fraction is at most one half; infinite if there is none
+    )
 
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
     """Return the effect size between two samples, with its interval and test. Infinite values count as equal."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
-    p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    p = (
+        1.0
+        if is_one_value
+        else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    )
     return Effect(a12=a12(first, second), low=low, high=high, p=p)
 
 
@@ -147,7 +168,9 @@ def a12(first: Sequence[float], second: Sequence[float]) -> float:
     return float(np.mean((x > y) + 0.5 * (x == y)))
 
 
-def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def a12_interval(
+    estimate: float, first: int, second: int, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
     """Return the confidence interval of an estimate of A12 from samples of two sizes.
 
     Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
@@ -160,10 +183,14 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
 
     def excess(value: float) -> float:
         spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
-        return float((value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second))
+        return float(
+            (value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second)
+        )
 
     # If the estimate is 0 or 1, it is itself a root, so only the other end is computed.
-    low = 0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
+    low = (
+        0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
+    )
     high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
     return low, high
 
@@ -186,22 +213,33 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
     at = np.asarray(estimate.quantiles, dtype=np.float64)
     shares = np.asarray(estimate.probabilities, dtype=np.float64)
     half = np.flatnonzero(shares <= 0.5 + 1e-12)
-    return Survival(times=at, shares=shares, median=float(at[half[0]]) if half.size else float("inf"))
+    return Survival(
+        times=at, shares=shares, median=float(at[half[0]]) if half.size else float("inf")
+    )
 
 
 def log_rank(
-    first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
+    first: Sequence[float],
+    first_censored: Sequence[bool],
+    second: Sequence[float],
+    second_censored: Sequence[bool],
 ) -> float:
     """Return the two-sided p-value of the log-rank test on times that may be censored, or 1 if it is undefined."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    with np.errstate(invalid="ignore"):  # if all events are at the same time, scipy divides 0 by a variance of 0
-        result = scipy.stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
+    with np.errstate(
+        invalid="ignore"
+    ):  # if all events are at the same time, scipy divides 0 by a variance of 0
+        result = scipy.stats.logrank(
+            _censored(first, first_censored), _censored(second, second_censored)
+        )
     return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 
 
 def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stats.CensoredData:
-    return scipy.stats.CensoredData.right_censored(np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool))
+    return scipy.stats.CensoredData.right_censored(
+        np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool)
+    )
 
 
 class Comparison(NamedTuple):
@@ -233,10 +271,15 @@ def comparisons(results: Results) -> list[Comparison]:
         counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
         p = fisher_p((counts[0], len(a)), (counts[1], len(b)))
         measure = "runs that found an ego-responsible failure"
-        found.append(Comparison(measure, first, second, *counts, None, None, None, p, "Fisher exact"))
+        found.append(
+            Comparison(measure, first, second, *counts, None, None, None, p, "Fisher exact")
+        )
         times = [first_failures(each, results.horizon) for each in (a, b)]
         medians = survival(*times[0]).median, survival(*times[1]).median
-        measure, p = "simulated s to the first ego-responsible failure", log_rank(*times[0], *times[1])
+        measure, p = (
+            "simulated s to the first ego-responsible failure",
+            log_rank(*times[0], *times[1]),
+        )
         found.append(Comparison(measure, first, second, *medians, None, None, None, p, "log-rank"))
     adjusted = holm([each.p for each in found])
     return [each._replace(p_holm=p) for each, p in zip(found, adjusted, strict=True)]

@@ -71,7 +71,12 @@ def is_folder(path: Path) -> bool:
 def files_below(root: Path = Path(CORPUS)) -> list[Path]:
     """Return all corpus files in a folder tree, sorted."""
     # os.walk does not follow links to folders, which may be cyclic.
-    return sorted(Path(folder, name) for folder, _, names in os.walk(root) for name in names if name.endswith(SUFFIX))
+    return sorted(
+        Path(folder, name)
+        for folder, _, names in os.walk(root)
+        for name in names
+        if name.endswith(SUFFIX)
+    )
 
 
 def unlisted_below(root: Path) -> dict[Path, str]:
@@ -82,7 +87,9 @@ def unlisted_below(root: Path) -> dict[Path, str]:
     # The root itself may be a file: on Windows, git writes a link as a file.
     fix = "Make it readable for this user, restore it, or move it away"
     return {
-        Path(error.filename): f"expected a folder that can be listed, received {error.strerror}. {fix}"
+        Path(
+            error.filename
+        ): f"expected a folder that can be listed, received {error.strerror}. {fix}"
         for error in errors
         if os.path.lexists(error.filename)
     }
@@ -161,7 +168,10 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
 
 def module_named(directory: Path, folder: str) -> Path:
     """Return the test file that belongs to a folder of a corpus, even if the test file does not exist."""
-    return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
+    return next(
+        (file for file in directory.glob("*.py") if safe_name(file.stem) == folder),
+        directory / f"{folder}.py",
+    )
 
 
 def relative(path: Path, rootpath: Path) -> str:
@@ -179,7 +189,9 @@ def safe_name(text: str) -> str:
     bracketed = re.fullmatch(_WITH_PARAMETERS, text)
     parts = bracketed.groups() if bracketed else (text,)
     suffix = ""
-    if text.isascii() and text != text.lower() and "." not in parts[0]:  # "A.b" and "A::b" must differ
+    if (
+        text.isascii() and text != text.lower() and "." not in parts[0]
+    ):  # "A.b" and "A::b" must differ
         # Two names that differ only in case get different suffixes, because some file systems ignore case.
         parts = (parts[0].replace("::", "."), *parts[1:])
         suffix = f"~{_runs_of_case(text)}"
@@ -188,7 +200,11 @@ def safe_name(text: str) -> str:
     plain = (part.lower() if suffix else part for part in parts)
     # The suffix is shorter than one with a digest, so that the two kinds of suffixes cannot be confused.
     is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
-    if is_short and all(re.fullmatch(_PLAIN, each) for each in plain) and not re.match(_RESERVED, name):
+    if (
+        is_short
+        and all(re.fullmatch(_PLAIN, each) for each in plain)
+        and not re.match(_RESERVED, name)
+    ):
         return name + suffix
     # What remains are names with other characters, names that Windows reserves, and long names.
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
@@ -200,7 +216,10 @@ def safe_name(text: str) -> str:
 def _runs_of_case(text: str) -> str:
     # Encode the positions of capitals as the lengths of runs of lower and upper case, in base 36.
     # A run of 35 or more is split by empty runs of the other case, so that each length is one digit.
-    runs = [(is_capital, len(list(run))) for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)]
+    runs = [
+        (is_capital, len(list(run)))
+        for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)
+    ]
     lengths = [0] * runs[0][0] + [length for _, length in runs[: None if runs[-1][0] else -1]]
     return "".join("z0" * (length // 35) + _DIGITS[length % 35] for length in lengths)
 
@@ -217,7 +236,9 @@ class TestFolders:
         """Return the folders that can belong to a test, sorted by name."""
         prefix = _readable(test).removeprefix("_")
         start = bisect_left(self._sorted, prefix, key=_beginning)
-        begins = takewhile(lambda path: _beginning(path).startswith(prefix), islice(self._sorted, start, None))
+        begins = takewhile(
+            lambda path: _beginning(path).startswith(prefix), islice(self._sorted, start, None)
+        )
         return sorted(path for path in begins if may_be_of(path.name, test))
 
 
@@ -230,11 +251,15 @@ def may_be_of(folder: str, test: str) -> bool:
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.
-    return re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[-.]*[@~-]", folder) is not None
+    return (
+        re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[-.]*[@~-]", folder) is not None
+    )
 
 
 def _readable(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))[: MAX_NAME - DIGEST - 2].strip("-.")
+    return re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))[
+        : MAX_NAME - DIGEST - 2
+    ].strip("-.")
 
 
 def around(part: str, name: str) -> tuple[str, str] | None:

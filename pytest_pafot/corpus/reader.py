@@ -41,7 +41,14 @@ from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import CAR, PAPERS, READY, STYLES, VehicleType
-from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, command, plain_number, plain_whole
+from pytest_pafot.support.errors import (
+    RESTORE,
+    CorpusError,
+    FieldError,
+    command,
+    plain_number,
+    plain_whole,
+)
 from pytest_pafot.support.files import LFS_POINTER, open_regular
 from pytest_pafot.support.text import day_of, listed, visible
 
@@ -61,14 +68,18 @@ XFAIL, REASON = "xfail", "reason"
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
-_NUMBER_LIKE = re.compile(r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)")
+_NUMBER_LIKE = re.compile(
+    r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)"
+)
 _NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:e[-+][0-9]+)?)?|-?\.inf|\.nan")
 _WORD = re.compile(r"true|false|null|")
 _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
 """The start of a saved scenario, which distinguishes a faulty file from an unrelated one."""
-NOT_SHOWN = "other content. The content is not shown, because the file does not start like a saved scenario"
+NOT_SHOWN = (
+    "other content. The content is not shown, because the file does not start like a saved scenario"
+)
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
@@ -102,7 +113,9 @@ class Field:
     @property
     def name(self) -> str:
         """The name of the value in error messages, such as ``scenario.npcs[0][3].cell``."""
-        return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
+        return "".join(
+            f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place
+        ).lstrip(".")
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
         """Return an error with the line of the value, or of the innermost enclosing value with a known line."""
@@ -122,11 +135,17 @@ class Field:
         # Unknown keys are reported before missing ones, because a misspelt key causes both.
         for key in fields:
             if key not in known:
-                raise fields[key].error(f"the key {one_of(known)}{owner}", _guess(key, known), repr(key))
+                raise fields[key].error(
+                    f"the key {one_of(known)}{owner}", _guess(key, known), repr(key)
+                )
         for key in keys.required:
             if key not in fields:
                 received = f"only {listed([*map(repr, fields)])}" if fields else "an empty mapping"
-                raise self.error(f"the key '{key}'", "add the key, or restore the file from version control", received)
+                raise self.error(
+                    f"the key '{key}'",
+                    "add the key, or restore the file from version control",
+                    received,
+                )
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
@@ -159,13 +178,17 @@ class Field:
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
             expected = f"of at least {low}" if high is None else f"from {low:,} to {high:,}"
-            raise self.error(f"{low}" if low == high else f"a whole number {expected}", "correct the value")
+            raise self.error(
+                f"{low}" if low == high else f"a whole number {expected}", "correct the value"
+            )
         return number
 
     def day(self) -> date:
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
-            raise self.error("a valid date in the form YYYY-MM-DD", "write a date such as 2027-01-31")
+            raise self.error(
+                "a valid date in the form YYYY-MM-DD", "write a date such as 2027-01-31"
+            )
         return day
 
     def truth(self) -> bool:
@@ -207,13 +230,22 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     # scenario, since such a file may contain a secret.
     if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
         received = "a different kind of file, such as one that `export` wrote"
-        raise CorpusError(path, "a saved scenario", received, f"give a file whose name ends with {SUFFIX}")
+        raise CorpusError(
+            path, "a saved scenario", received, f"give a file whose name ends with {SUFFIX}"
+        )
     if len(content) > MAX_BYTES:
-        raise CorpusError(path, f"a file of at most {MAX_BYTES // 1024} KiB", "a larger file", "shorten or delete it")
+        raise CorpusError(
+            path,
+            f"a file of at most {MAX_BYTES // 1024} KiB",
+            "a larger file",
+            "shorten or delete it",
+        )
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
         raise CorpusError(path, "a saved scenario", "an empty file")
     if content.startswith(LFS_POINTER):
-        raise CorpusError(path, "a saved scenario", "a Git LFS pointer", "fetch the file with `git lfs pull`")
+        raise CorpusError(
+            path, "a saved scenario", "a Git LFS pointer", "fetch the file with `git lfs pull`"
+        )
     try:
         value, lines = _parsed(path, content, base)
     except CorpusError as error:
@@ -223,14 +255,20 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     top = Field(path, lines, (), value)
     if not isinstance(value, dict):
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
-    if "pafot" not in value:  # checked first: nothing else can be checked in a file of a newer version
-        raise top.error(f"the key 'pafot' with the value {VERSION}", received="a mapping without this key")
+    if (
+        "pafot" not in value
+    ):  # checked first: nothing else can be checked in a file of a newer version
+        raise top.error(
+            f"the key 'pafot' with the value {VERSION}", received="a mapping without this key"
+        )
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
         fix = "install the version of pytest-pafot that wrote this file, or delete the file and search again"
         # Without a version, this may be another kind of file with a secret under that key, so the value is not printed.
-        raise version.error(f"format version {VERSION}", fix, None if is_whole else "a value of a different type")
+        raise version.error(
+            f"format version {VERSION}", fix, None if is_whole else "a value of a different type"
+        )
     return top
 
 
@@ -240,15 +278,24 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         # The file may start with a byte order mark.
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
-        raise CorpusError(path, "text in UTF-8", received, "save the file as UTF-8", line=line) from None
+        line, received = (
+            content.count(b"\n", 0, error.start) + 1,
+            f"the byte 0x{content[error.start]:02x}",
+        )
+        raise CorpusError(
+            path, "text in UTF-8", received, "save the file as UTF-8", line=line
+        ) from None
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
-        raise CorpusError(path, "printable text", received, "remove the unprintable character", line=line)
+        raise CorpusError(
+            path, "printable text", received, "remove the unprintable character", line=line
+        )
     # The compiled loader accepts tabs and "?" where the Python loader does not, but both must give the same result.
     is_odd = "\t" in text or "?" in text
-    kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    kind: Any = base or (
+        yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    )
     loader = kind(text)
     try:
         return _Builder(path, loader).document()
@@ -257,7 +304,10 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         if isinstance(error, yaml.MarkedYAMLError):
             mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
             where = None if mark is None else mark.line + 1
-        received, fix = f"a syntax error ({problem})", "correct the syntax, or restore the file from version control"
+        received, fix = (
+            f"a syntax error ({problem})",
+            "correct the syntax, or restore the file from version control",
+        )
         raise CorpusError(path, "valid YAML", received, fix, line=where) from None
     finally:
         loader.dispose()
@@ -286,27 +336,40 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one YAML document", "none or several", "write one document per file")
+            raise self._error(
+                event, "exactly one YAML document", "none or several", "write one document per file"
+            )
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
         self.values += 1
         if self.values > MOST_VALUES:
             # Reading a value takes about 10 microseconds. A file of this plugin would reach the size limit first.
-            raise self._error(event, f"at most {MOST_VALUES} values", "more", "shorten or delete the file")
+            raise self._error(
+                event, f"at most {MOST_VALUES} values", "more", "shorten or delete the file"
+            )
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
             # Expanding aliases can use up all memory (a "billion laughs" attack).
             name = f"the {'alias' if isinstance(event, yaml.AliasEvent) else 'anchor'} {event.anchor!r:.40}"
-            raise self._error(event, "a value without aliases or anchors", name, "write the value in full")
+            raise self._error(
+                event, "a value without aliases or anchors", name, "write the value in full"
+            )
         if event.tag is not None:
-            raise self._error(event, "a value without a tag", f"the tag {event.tag!r:.60}", "remove the tag")
+            raise self._error(
+                event, "a value without a tag", f"the tag {event.tag!r:.60}", "remove the tag"
+            )
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
         if len(place) >= DEPTH:
-            raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "reduce the nesting")
+            raise self._error(
+                event, f"at most {DEPTH} levels of nesting", "more", "reduce the nesting"
+            )
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(place)
-        return [self._value((*place, index), each) for index, each in enumerate(self._until(yaml.SequenceEndEvent))]
+        return [
+            self._value((*place, index), each)
+            for index, each in enumerate(self._until(yaml.SequenceEndEvent))
+        ]
 
     def _scalar(self, event: Any, *, is_day: bool) -> Any:
         tag = self.loader.resolve(yaml.ScalarNode, event.value, event.implicit)
@@ -314,20 +377,37 @@ class _Builder:
             return str(event.value)
         if tag not in _PLAIN_TAGS:
             received = f"{event.value!r:.60}, which has the YAML type '{tag.removeprefix(_PREFIX)}'"
-            raise self._error(event, "a number, a string, true, false or null", received, "put the value in quotes")
+            raise self._error(
+                event,
+                "a number, a string, true, false or null",
+                received,
+                "put the value in quotes",
+            )
         if event.implicit[0]:
             # YAML 1.1, YAML 1.2 and people read these in different ways: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
             text, kind = event.value, tag.removeprefix(_PREFIX)
             is_number = kind in ("int", "float")
-            if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
+            if (is_number and not _NUMBER.fullmatch(text)) or (
+                kind == "str" and _NUMBER_LIKE.fullmatch(text)
+            ):
                 fix = "write a number such as 10, 0.5 or 1.0e-5, or put the value in quotes"
                 raise self._error(event, "a number in decimal notation", f"{text!r:.60}", fix)
             if kind in ("bool", "null") and not _WORD.fullmatch(text):
-                raise self._error(event, "true, false or null", f"{text!r:.60}", "if it is a string, put it in quotes")
+                raise self._error(
+                    event,
+                    "true, false or null",
+                    f"{text!r:.60}",
+                    "if it is a string, put it in quotes",
+                )
         try:
-            return self.loader.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
+            return self.loader.construct_object(
+                yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark)
+            )
         except (ValueError, OverflowError):
-            received, fix = f"one with {len(event.value):,} digits", "shorten it, or put it in quotes"
+            received, fix = (
+                f"one with {len(event.value):,} digits",
+                "shorten it, or put it in quotes",
+            )
             raise self._error(event, "a number that can be read", received, fix) from None
 
     def _mapping(self, place: Place) -> dict[str, Any]:
@@ -335,9 +415,16 @@ class _Builder:
         for event in self._until(yaml.MappingEndEvent):
             key = self._value((*place, "?"), event)
             if not isinstance(key, str):
-                raise self._error(event, "strings as keys", f"the key {key!r:.60}", "put the key in quotes")
+                raise self._error(
+                    event, "strings as keys", f"the key {key!r:.60}", "put the key in quotes"
+                )
             if key in mapping:
-                raise self._error(event, "each key only once", f"{key!r:.60} a second time", "remove the duplicate")
+                raise self._error(
+                    event,
+                    "each key only once",
+                    f"{key!r:.60} a second time",
+                    "remove the duplicate",
+                )
             # All keys are read at the place "?". After the value is read, its line becomes the line of the key.
             mapping[key] = self._value((*place, key), self.loader.get_event())
             self.lines[(*place, key)] = _line(event)
@@ -364,8 +451,14 @@ FILE = Keys(
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
 WORLDS: Mapping[str, Keys] = MappingProxyType(
     {
-        "highway": Keys(("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN), ("ego",)),
-        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers", "planner_hz", "ego", "ends")),
+        "highway": Keys(
+            ("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN),
+            ("ego",),
+        ),
+        "gym": Keys(
+            ("kind", "env_id", "config", "duration", *_BUILT_IN),
+            ("wrappers", "planner_hz", "ego", "ends"),
+        ),
         "own": Keys(("kind",), ("class", "data")),
     }
 )
@@ -438,7 +531,9 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     reason, until = _optional(fields, "xfail", _xfail, (None, None))
     return Finding(
         id=name,
-        test=fields["test"].some_text("write the node id of the test, such as tests/test_safety.py::test_it"),
+        test=fields["test"].some_text(
+            "write the node id of the test, such as tests/test_safety.py::test_it"
+        ),
         world=_world(fields["world"]),
         scenario=scenario,
         expect=_expect(fields["expect"], npc),
@@ -446,7 +541,11 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         perception=_optional(fields, "perception", _perceived),
         shrunk=_optional(fields, "shrunk", lambda field: _record(field, Shrunk)),
         rate=_optional(fields, "rate", _rate),
-        flaky=_optional(fields, "flaky", lambda field: field.some_text("describe what differed, or remove the key")),
+        flaky=_optional(
+            fields,
+            "flaky",
+            lambda field: field.some_text("describe what differed, or remove the key"),
+        ),
         xfail=reason,
         xfail_until=until,
     )
@@ -470,7 +569,9 @@ def content_of(path: Path) -> bytes:
         with open_regular(_at_the_end_of_links(path)) as file:
             return file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise CorpusError(path, "a regular file that can be read", f"the error '{error.strerror or error}'") from None
+        raise CorpusError(
+            path, "a regular file that can be read", f"the error '{error.strerror or error}'"
+        ) from None
 
 
 def _at_the_end_of_links(path: Path) -> Path:
@@ -489,13 +590,18 @@ def _at_the_end_of_links(path: Path) -> Path:
             return real
         if path.is_symlink() and real.parts[-4:] == path.parts[-4:]:
             return real
-    if any(real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")) for above in path.parents):
+    if any(
+        real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects"))
+        for above in path.parents
+    ):
         return real
     fix = "replace the link with the file itself, or delete the link"
     raise CorpusError(path, "a file inside the corpus", "a link to a file outside it", fix)
 
 
-def _optional(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
+def _optional(
+    fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None
+) -> Any:
     return get(fields[key]) if key in fields else default
 
 
@@ -523,9 +629,16 @@ def _world(field: Field) -> dict[str, Any]:
 @cache
 def _keys_of(kind: Any) -> Keys:
     needed = {*REQUIRED.get(kind, ())}
-    needed |= {each.name for each in fields_of(kind) if each.default is MISSING and each.default_factory is MISSING}
+    needed |= {
+        each.name
+        for each in fields_of(kind)
+        if each.default is MISSING and each.default_factory is MISSING
+    }
     names = [each.name for each in fields_of(kind)]
-    return Keys(tuple(name for name in names if name in needed), tuple(name for name in names if name not in needed))
+    return Keys(
+        tuple(name for name in names if name in needed),
+        tuple(name for name in names if name not in needed),
+    )
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
@@ -621,7 +734,9 @@ def _vehicle(field: Field) -> VehicleType:
         return READY[field.choice(tuple(READY))]
     if not isinstance(field.value, dict):
         expected = f"{one_of(tuple(READY))}, or a mapping with a name and a size"
-        raise field.error(expected, "write `truck` or `{name: bus, length: 12.0, width: 2.5}`, for example")
+        raise field.error(
+            expected, "write `truck` or `{name: bus, length: 12.0, width: 2.5}`, for example"
+        )
     return _record(field, VehicleType)
 
 
@@ -633,7 +748,10 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
     # exist.
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
     others[:1] = [f"NPC {npc}" if key in ("npcs", "vehicles") else npc for npc in others[:1]]
-    inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
+    inner = [
+        *_SCENARIO_FIELDS.get(key, (key,)),
+        *(int(part) if part.isdigit() else part for part in others),
+    ]
     place = field
     for part in inner:
         if not _has(place.value, part):
@@ -642,7 +760,9 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
     if len(inner) == 3 and _has(place.value, "cell"):
         place = place.at("cell")
     # REPAIR is advice for code, not for a file.
-    fix = error.fix if error.fix and error.fix != REPAIR else "correct the value, or delete the file"
+    fix = (
+        error.fix if error.fix and error.fix != REPAIR else "correct the value, or delete the file"
+    )
     return place.error(error.expected, fix, error.received[:MAX_RECEIVED])
 
 
@@ -664,7 +784,9 @@ def _expect(field: Field, npc: Read) -> Expect:
     return _record(
         field,
         Expect,
-        failure=lambda inner: inner.some_text("name the class of the exception, such as AssertionError"),
+        failure=lambda inner: inner.some_text(
+            "name the class of the exception, such as AssertionError"
+        ),
         npc=npc,
         zone=lambda inner: inner.choice(ZONES),
         mistake=lambda inner: inner.choice(LANE_CHANGES),
@@ -673,7 +795,9 @@ def _expect(field: Field, npc: Read) -> Expect:
 
 def _xfail(field: Field) -> tuple[str, date]:
     fields = field.mapping(Keys(("reason", "until")))
-    return fields["reason"].some_text('write the reason in quotes, as in reason: "issue 12"'), fields["until"].day()
+    return fields["reason"].some_text(
+        'write the reason in quotes, as in reason: "issue 12"'
+    ), fields["until"].day()
 
 
 def _rate(field: Field) -> FailureRate:
@@ -721,7 +845,9 @@ class Saved(NamedTuple):
     def needs_own_process(self) -> bool:
         """True if a run can end the process, hang or exhaust the memory."""
         expect = None if self.finding is None else self.finding.expect
-        return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
+        return expect is not None and (
+            self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError"
+        )
 
     def __repr__(self) -> str:
         return visible(f"<saved {self.id}>")
@@ -740,7 +866,9 @@ def named_file(given: str) -> Path:
     found = [file for file, other in files.items() if other == name]
     if len(found) == 1:
         return found[0]
-    expected = "the file of a saved scenario, or the id of a saved scenario below the current folder"
+    expected = (
+        "the file of a saved scenario, or the id of a saved scenario below the current folder"
+    )
     if found:
         fix = f"give one of the files: {', '.join(map(str, found))}"
         raise CorpusError(path, expected, f"an id that occurs in {len(found)} files", fix)

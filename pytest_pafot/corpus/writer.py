@@ -26,7 +26,9 @@ class CorpusWriteError(RuntimeError):
     """An error for a finding that could not be written."""
 
     def __init__(self, path: Path, expected: str, received: str, fix: str) -> None:
-        super().__init__(str(FieldError(field=f"{path}", expected=expected, received=received, fix=fix)))
+        super().__init__(
+            str(FieldError(field=f"{path}", expected=expected, received=received, fix=fix))
+        )
         self.path = path
 
 
@@ -41,7 +43,10 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
     content = text_of(finding).encode()
     if len(content) > MAX_BYTES:
         # The reader would reject the file, so the finding would be lost.
-        expected, fix = f"a finding of at most {MAX_BYTES // 1024} KiB", "use fewer NPCs or fewer instructions per NPC"
+        expected, fix = (
+            f"a finding of at most {MAX_BYTES // 1024} KiB",
+            "use fewer NPCs or fewer instructions per NPC",
+        )
         raise CorpusWriteError(path, expected, f"one of {-(-len(content) // 1024)} KiB", fix)
     try:
         if not over:
@@ -50,7 +55,9 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
         return True
     except OSError as error:
         fix = way_out(error, f"or choose another folder with {flag('corpus')}")
-        raise CorpusWriteError(path, "a file for the finding", f"the error '{error.strerror or error}'", fix) from error
+        raise CorpusWriteError(
+            path, "a file for the finding", f"the error '{error.strerror or error}'", fix
+        ) from error
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -67,12 +74,16 @@ def rewrite(path: Path, finding: Finding) -> Finding:
             kept = finding.accepting(there.xfail, there.xfail_until)
         except CorpusError as error:
             received = f"a file that cannot be read: {sentence(error.field, error.expected, error.received, '')}"
-            raise CorpusWriteError(path, "a saved scenario to update", received, error.fix) from error
+            raise CorpusWriteError(
+                path, "a saved scenario to update", received, error.fix
+            ) from error
     write(path, kept, over=True)
     return kept
 
 
-def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
+def free_path(
+    folder: Path, finding: Finding, passed: Collection[Path] = ()
+) -> tuple[Path, Finding]:
     """Return a path for a new finding, and the finding with the id in that path.
 
     If a file already contains the finding, return the path of the file. ``passed`` contains the files whose replays
@@ -95,7 +106,9 @@ def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
     except CorpusError:
         return False  # a file that the user may still repair is not overwritten
     # A guard is a file whose replay passes. If it has another scenario, for example a shrunk one, both are kept.
-    return saved.signature == finding.signature and not (is_guard and saved.scenario != finding.scenario)
+    return saved.signature == finding.signature and not (
+        is_guard and saved.scenario != finding.scenario
+    )
 
 
 # The content of a file.
@@ -110,7 +123,9 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 
 def text_of(finding: Finding) -> str:
     """Return the content of a corpus file."""
-    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # not inside brackets
+    test = (
+        finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)
+    )  # not inside brackets
 
     xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
@@ -121,8 +136,15 @@ def text_of(finding: Finding) -> str:
         f"pafot: {VERSION}",
         *_scenario_lines(finding.scenario),
         *_expect_lines(finding.expect),
-        *_filled("found: ", {name: value for name, value in asdict(finding.found).items() if value is not None}),
-        *([] if finding.perception is None else _filled("perception: ", finding.perception.imperfections)),
+        *_filled(
+            "found: ",
+            {name: value for name, value in asdict(finding.found).items() if value is not None},
+        ),
+        *(
+            []
+            if finding.perception is None
+            else _filled("perception: ", finding.perception.imperfections)
+        ),
         *([] if finding.shrunk is None else _filled("shrunk: ", _known(asdict(finding.shrunk)))),
         *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
@@ -139,13 +161,20 @@ def _known(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def scenario_data(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as JSON-compatible data with a name for each value."""
-    fields: dict[str, Any] = {"seed": scenario.seed, "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed}}
+    fields: dict[str, Any] = {
+        "seed": scenario.seed,
+        "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed},
+    }
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
         fields["gene_seconds"] = scenario.gene_seconds
     if scenario.traffic != PAPERS:
         fields["traffic"] = scenario.traffic
-    vehicles = {f"NPC {npc}": each.plain() for npc, each in enumerate(scenario.vehicles) if each != CAR}
-    chains = {f"NPC {npc}": [each.in_file() for each in chain] for npc, chain in enumerate(scenario.npcs)}
+    vehicles = {
+        f"NPC {npc}": each.plain() for npc, each in enumerate(scenario.vehicles) if each != CAR
+    }
+    chains = {
+        f"NPC {npc}": [each.in_file() for each in chain] for npc, chain in enumerate(scenario.npcs)
+    }
     return fields | ({"vehicles": vehicles} if vehicles else {}) | {"npcs": chains}
 
 
@@ -154,7 +183,11 @@ def _scenario_lines(scenario: Scenario) -> Iterator[str]:
     npcs = fields.pop("npcs")
     yield "scenario:"
     for name, value in fields.items():
-        yield from _filled(f"  {name}: ", value) if isinstance(value, dict) else [f"  {name}: {_flow(value)}"]
+        yield from (
+            _filled(f"  {name}: ", value)
+            if isinstance(value, dict)
+            else [f"  {name}: {_flow(value)}"]
+        )
     yield "  npcs:"
     for name, chain in npcs.items():
         yield from _filled(f"    {name}: ", chain)
@@ -165,7 +198,11 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values["check"] = _known(values["check"] or {})
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
-    entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
+    entries = {
+        name: value
+        for name, value in values.items()
+        if value not in (None, "", {}) or name == "failure"
+    }
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
         yield from _filled("expect: ", entries)
         return
@@ -178,7 +215,9 @@ def _block(entries: Mapping[str, Any]) -> Iterator[str]:
         if isinstance(value, str) and _fits_literal(value):
             # "|-" means that the string does not end with a line break.
             yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
-            yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
+            yield from (
+                f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n")
+            )
         else:
             yield f"  {key}: {_flow(value)}"
 
@@ -187,7 +226,11 @@ def _fits_literal(text: str) -> bool:
     # YAML reads a literal block unchanged only if all of this is true.
     lines = text.removesuffix("\n").split("\n")
     is_plain = all(line.replace("\t", "").isprintable() for line in lines)
-    return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
+    return (
+        "\n" in text
+        and is_plain
+        and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
+    )
 
 
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
@@ -221,7 +264,9 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
 
 def _flow(value: object) -> str:
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+        )
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_flow, value)) + "]"
     return _scalar(value)
@@ -272,4 +317,6 @@ def _escaped(character: str) -> str:
     if "\ud800" <= character <= "\udfff":
         # No text file in UTF-8 can contain a lone surrogate.
         return "\ufffd"
-    return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028: YAML uses the same escapes
+    return character.encode("unicode_escape").decode(
+        "ascii"
+    )  # \n, \x1b, \u2028: YAML uses the same escapes

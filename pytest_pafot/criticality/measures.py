@@ -16,7 +16,16 @@ import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
 from pytest_pafot.model.instructions import Cell, cell_at
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Lane, Trace, road_of_run
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    HEADING,
+    LANE,
+    SPEED,
+    FloatArray,
+    Lane,
+    Trace,
+    road_of_run,
+)
 
 
 class RelativePositions:
@@ -25,7 +34,11 @@ class RelativePositions:
     # Arrays have the shape [NPCs, ticks + 1].
 
     def __init__(
-        self, states: FloatArray, sizes: FloatArray, lanes: Sequence[Lane], track: FloatArray | None = None
+        self,
+        states: FloatArray,
+        sizes: FloatArray,
+        lanes: Sequence[Lane],
+        track: FloatArray | None = None,
     ) -> None:
         self._states = states
         self._sizes = sizes
@@ -116,17 +129,35 @@ class Boxes:
 
     @classmethod
     def driving(
-        cls, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, width: FloatArray
+        cls,
+        x: FloatArray,
+        y: FloatArray,
+        heading: FloatArray,
+        speed: FloatArray,
+        length: FloatArray,
+        width: FloatArray,
     ) -> Boxes:
         cos, sin = np.cos(heading), np.sin(heading)  # a negative speed moves backwards
         return cls(
-            x=x, y=y, cos=cos, sin=sin, vx=speed * cos, vy=speed * sin, half_length=length / 2, half_width=width / 2
+            x=x,
+            y=y,
+            cos=cos,
+            sin=sin,
+            vx=speed * cos,
+            vy=speed * sin,
+            half_length=length / 2,
+            half_width=width / 2,
         )
 
     def part(self, vehicles: slice, ticks: slice) -> Boxes:
         # These boxes have the shape [vehicles, ticks].
-        moving = {name: getattr(self, name)[vehicles, ticks] for name in ("x", "y", "cos", "sin", "vx", "vy")}
-        return Boxes(**moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles])
+        moving = {
+            name: getattr(self, name)[vehicles, ticks]
+            for name in ("x", "y", "cos", "sin", "vx", "vy")
+        }
+        return Boxes(
+            **moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +185,9 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
         b.half_length + a.half_length * c + a.half_width * s,
         b.half_width + a.half_length * s + a.half_width * c,
     )
-    return Pairs(a=a, b=b, offsets=_along_axes(a, b, b.x - a.x, b.y - a.y), reaches=reaches, cos=cos, sin=sin)
+    return Pairs(
+        a=a, b=b, offsets=_along_axes(a, b, b.x - a.x, b.y - a.y), reaches=reaches, cos=cos, sin=sin
+    )
 
 
 def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
@@ -167,7 +200,9 @@ def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
 
 def depth(pairs: Pairs) -> FloatArray:
     """Return the smallest overlap [m] on any axis, negative if the boxes are apart."""
-    spare = [reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)]
+    spare = [
+        reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)
+    ]
     result: FloatArray = np.min(spare, axis=0)
     return result
 
@@ -203,7 +238,12 @@ def contact_time(pairs: Pairs) -> FloatArray:
 
 def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
     # The components of the vector (x, y) along the lengths and widths of a and b.
-    return x * a.cos + y * a.sin, y * a.cos - x * a.sin, x * b.cos + y * b.sin, y * b.cos - x * b.sin
+    return (
+        x * a.cos + y * a.sin,
+        y * a.cos - x * a.sin,
+        x * b.cos + y * b.sin,
+        y * b.cos - x * b.sin,
+    )
 
 
 def _corners_to_box(
@@ -244,7 +284,9 @@ class Encounters(RelativePositions):
 
     @cached_property
     def boxes(self) -> Boxes:
-        return Boxes.driving(self.x, self.y, self.column(HEADING), self.speed, self._sizes[:, :1], self._sizes[:, 1:])
+        return Boxes.driving(
+            self.x, self.y, self.column(HEADING), self.speed, self._sizes[:, :1], self._sizes[:, 1:]
+        )
 
     @cached_property
     def pairs(self) -> Pairs:
@@ -342,7 +384,9 @@ def safety_distance(trace: Trace) -> FloatArray:
     # (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower and 2 the leader.
     encounters, t = encounters_of(trace), MANOEUVRE_SECONDS
     gain = encounters.follower_minus_leader(encounters.speed)
-    return (gain * t + encounters.follower_minus_leader(encounters.column(ACCELERATION)) * (t * t / 2)).T
+    return (
+        gain * t + encounters.follower_minus_leader(encounters.column(ACCELERATION)) * (t * t / 2)
+    ).T
 
 
 def min_safety_distance(trace: Trace) -> float:
@@ -374,7 +418,9 @@ def _extremes(trace: Trace) -> tuple[float, float, float] | None:
     heading = trace.road.heading
     if not _SWEEPS or heading is None:
         return None
-    return sweep.extremes(trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
+    return sweep.extremes(
+        trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS
+    )
 
 
 def hardest_brake(trace: Trace) -> float:
@@ -412,14 +458,20 @@ def _lowest(values: FloatArray) -> float:
 class RssRules:
     """The parameters of RSS, with the default values of Intel's ad-rss-lib (appendix "Parameter Discussion")."""
 
-    ego_response: float = 1.0  #: rho of the ego, the response time, in which it may still accelerate [s]
+    ego_response: float = (
+        1.0  #: rho of the ego, the response time, in which it may still accelerate [s]
+    )
     npc_response: float = 2.0  #: rho of the NPCs [s]
     acceleration: float = 3.5  #: a_max,accel, the hardest acceleration in the response time [m/s^2]
-    least_braking: float = 4.0  #: a_min,brake, the least braking of a follower after its response time [m/s^2]
+    least_braking: float = (
+        4.0  #: a_min,brake, the least braking of a follower after its response time [m/s^2]
+    )
     hardest_braking: float = 8.0  #: a_max,brake, the hardest braking of a leader [m/s^2]
     #: a_lat,max,accel, the hardest sideways acceleration towards the other vehicle in the response time [m/s^2]
     lateral_acceleration: float = 0.2
-    lateral_braking: float = 0.8  #: a_lat,min,brake, the least sideways braking after the response time [m/s^2]
+    lateral_braking: float = (
+        0.8  #: a_lat,min,brake, the least sideways braking after the response time [m/s^2]
+    )
     fluctuation: float = 0.1  #: mu, the lateral margin [m]
 
     def __post_init__(self) -> None:
@@ -428,9 +480,13 @@ class RssRules:
             divides = field.name in ("least_braking", "hardest_braking", "lateral_braking")
             if not math.isfinite(value) or value < 0 or (divides and value == 0):
                 bound = "greater than 0" if divides else "of at least 0"
-                raise ValueError(f"{field.name}: expected a finite number {bound}, but received {value!r}")
+                raise ValueError(
+                    f"{field.name}: expected a finite number {bound}, but received {value!r}"
+                )
 
-    def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
+    def safe_along(
+        self, follower: FloatArray, leader: FloatArray, response: float | FloatArray
+    ) -> FloatArray:
         """Return the gap [m] that RSS requires of a follower, given speeds [m/s] along the road."""
         # v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake): the leader may brake as
         # hard as possible immediately. The follower may speed up for its response time rho [s], and then brakes. A
@@ -456,7 +512,11 @@ class RoadFrame:
         encounters = Encounters(trace)
         boxes = encounters.boxes
         # Whether each NPC is on the ego's path, and the offset of its centre from the ego's centre [m].
-        self.is_on_way, self.ahead, self.right = encounters.is_on_way, encounters.ahead, encounters.right
+        self.is_on_way, self.ahead, self.right = (
+            encounters.is_on_way,
+            encounters.ahead,
+            encounters.right,
+        )
         # The cosine and sine of each vehicle's angle to the road.
         self.cos, self.sin, road_cos, road_sin = trace.road.turned(boxes.cos, boxes.sin)
         speed = encounters.speed
@@ -465,7 +525,10 @@ class RoadFrame:
         # The drift is the movement since the previous tick, so slip is included. At the first tick of the run, or of
         # the vehicle on the ego's path, the heading determines it.
         before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
-        right = np.diff(encounters.y) * road_cos[:, before] - np.diff(encounters.x) * road_sin[:, before]
+        right = (
+            np.diff(encounters.y) * road_cos[:, before]
+            - np.diff(encounters.x) * road_sin[:, before]
+        )
         self.drift[0, 1:] = right[0] * trace.physics_hz
         was_and_is = self.is_on_way[:, :-1] & self.is_on_way[:, 1:]
         np.copyto(self.drift[1:, 1:], right[1:] * trace.physics_hz, where=was_and_is)
@@ -475,7 +538,9 @@ class RoadFrame:
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
     def half_lengths(self, npc: int) -> FloatArray:
-        return np.asarray(self.half_along[0] + self.half_along[npc + 1])  # of ego and NPC together [m]
+        return np.asarray(
+            self.half_along[0] + self.half_along[npc + 1]
+        )  # of ego and NPC together [m]
 
     @property
     def gap_along(self) -> FloatArray:
@@ -506,7 +571,9 @@ class RoadFrame:
 
 
 def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
-    return speed * np.abs(speed) / (2 * deceleration)  # the stopping distance [m], with the sign of the speed
+    return (
+        speed * np.abs(speed) / (2 * deceleration)
+    )  # the stopping distance [m], with the sign of the speed
 
 
 def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:

@@ -55,7 +55,9 @@ def passages(trace: Trace) -> tuple[Passage | None, ...]:
     """Return, for each NPC, the passage through the zone where its path crosses the ego's, or None without a zone."""
     # A user's world may record zones without the positions of the vehicles on their paths.
     zones = trace.zones if _has_positions(trace) else ()
-    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
+    return tuple(
+        _passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0]))
+    )
 
 
 def time_advantage(trace: Trace) -> FloatArray:
@@ -71,7 +73,10 @@ def time_advantage(trace: Trace) -> FloatArray:
             advantage[:, npc] = np.nan
             continue
         ego, other = (
-            [_seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz) for place in stretch]
+            [
+                _seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz)
+                for place in stretch
+            ]
             for vehicle, along, stretch in _paths_to_zone(trace, npc, zone)
         )
         with np.errstate(invalid="ignore"):  # inf - inf, if both never arrive
@@ -96,11 +101,18 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
     ]
     (ego_enters, ego_leaves), (npc_enters, npc_leaves) = enters_and_leaves
     return Passage(
-        npc=npc, zone=zone, ego_enters=ego_enters, ego_leaves=ego_leaves, npc_enters=npc_enters, npc_leaves=npc_leaves
+        npc=npc,
+        zone=zone,
+        ego_enters=ego_enters,
+        ego_leaves=ego_leaves,
+        npc_enters=npc_enters,
+        npc_leaves=npc_leaves,
     )
 
 
-def _paths_to_zone(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
+def _paths_to_zone(
+    trace: Trace, npc: int, zone: Zone
+) -> tuple[tuple[int, FloatArray, Stretch], ...]:
     # For the ego and the NPC: the index of the vehicle, its positions along its path [m], and its section of the zone.
     on_way: Any = trace.on_way
     return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
@@ -118,7 +130,9 @@ def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -
     # The seconds until a vehicle reaches a position at its present speed, at each tick.
     ticks = np.arange(len(along))
     is_moving = speed > 0
-    ahead: FloatArray = np.where(is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf)
+    ahead: FloatArray = np.where(
+        is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf
+    )
     # After the vehicle has reached the position, the time is 0 or negative.
     first = _first_at(place, along)
     return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)
@@ -136,13 +150,17 @@ class Measure:
     unit: str  # such as `m/s^3`; empty for a number
     worse: Worse
     source: str  # definition and publication
-    function: Callable[[Trace], FloatArray]  # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
+    function: Callable[
+        [Trace], FloatArray
+    ]  # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
 
     def __call__(self, trace: Trace) -> float:
         """Return the run's worst value of the measure as a fitness between -1 and 1."""
         # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
         # values are worse cannot be a fitness.
-        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.function(trace))
+        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](
+            self.function(trace)
+        )
         worst = float(risk.max(initial=-np.inf))
         return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
 
@@ -152,7 +170,9 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
     encounters = encounters_of(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
-    nearest: npt.NDArray[np.intp] = np.vstack((nobody, np.where(is_ahead, encounters.ahead, np.inf))).argmin(axis=0)
+    nearest: npt.NDArray[np.intp] = np.vstack(
+        (nobody, np.where(is_ahead, encounters.ahead, np.inf))
+    ).argmin(axis=0)
     return nearest - 1
 
 
@@ -289,7 +309,9 @@ class Signals:
         self.trace = trace
         self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
-    def values_of(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
+    def values_of(
+        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+    ) -> FloatArray:
         """Return the read-only values of a function of the trace, one per tick.
 
         Args:
@@ -311,8 +333,14 @@ class Signals:
             values.flags.writeable = False
             self._values[function] = values
         if (values.ndim == 2) is (npc is None):
-            wanted = "an index such as npc=0, because the signal has one row for each NPC" if npc is None else "no npc="
-            raise ValueError(f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}")
+            wanted = (
+                "an index such as npc=0, because the signal has one row for each NPC"
+                if npc is None
+                else "no npc="
+            )
+            raise ValueError(
+                f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}"
+            )
         return values if npc is None else values[npc]
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
@@ -349,12 +377,17 @@ class _Vehicle:
 
     def __dir__(self) -> list[str]:
         more = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
-        return [*(name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)), *more]
+        return [
+            *(name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)),
+            *more,
+        ]
 
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
+            __tracebackhide__ = (
+                True  # pytest then shows the line of the test function as the last one
+            )
             measure = BY_NAME.get(self._of + name)
             if measure is None or name.startswith("_"):
                 raise AttributeError(f"{self._of}{name}: expected one of {', '.join(dir(self))}")

@@ -71,7 +71,10 @@ def _swept(
         turn_a = abs(heading_a)
         fast_a = abs(speed_a) * turn_a * turn_a / 2.0
         for vehicle in range(1, states.shape[1]):
-            x, y = states[tick, vehicle, 0] - states[tick, 0, 0], states[tick, vehicle, 1] - states[tick, 0, 1]
+            x, y = (
+                states[tick, vehicle, 0] - states[tick, 0, 0],
+                states[tick, vehicle, 1] - states[tick, 0, 1],
+            )
             heading_b, speed_b = states[tick, vehicle, 2], states[tick, vehicle, 3]
             bl, bw = sizes[vehicle, 0] / 2, sizes[vehicle, 1] / 2
             turn_b = abs(heading_b)
@@ -92,7 +95,9 @@ def _swept(
                 comes = closing > 0.0 and room_x < closing * min_ttc
             if comes and room_y > 0.0:
                 closing = speed_a * heading_a - speed_b * heading_b
-                closing = (closing if y > 0.0 else -closing) + (fast_a * turn_a + fast_b * turn_b) / 3.0
+                closing = (closing if y > 0.0 else -closing) + (
+                    fast_a * turn_a + fast_b * turn_b
+                ) / 3.0
                 comes = closing > 0.0 and room_y < closing * min_ttc
 
             # The safety distance of the paper's equation 5, if ego and NPC are in one lane. A gap that is larger than
@@ -109,7 +114,12 @@ def _swept(
                 continue
 
             # The projections of the boxes onto their four axes, as in measures.relate.
-            ac, sa, bc, sb = math.cos(heading_a), math.sin(heading_a), math.cos(heading_b), math.sin(heading_b)
+            ac, sa, bc, sb = (
+                math.cos(heading_a),
+                math.sin(heading_a),
+                math.cos(heading_b),
+                math.sin(heading_b),
+            )
             cos, sin = ac * bc + sa * sb, ac * sb - sa * bc
             c, s = abs(cos), abs(sin)
             reach_0, reach_1 = al + bl * c + bw * s, aw + bl * s + bw * c
@@ -134,8 +144,12 @@ def _swept(
                     or abs(offset_2) > reach_2
                     or abs(offset_3) > reach_3
                 ):
-                    from_b = _corners_to_box(offset_0, offset_1, bl * cos, bl * sin, -bw * sin, bw * cos, al, aw)
-                    from_a = _corners_to_box(offset_2, offset_3, al * cos, -al * sin, aw * sin, aw * cos, bl, bw)
+                    from_b = _corners_to_box(
+                        offset_0, offset_1, bl * cos, bl * sin, -bw * sin, bw * cos, al, aw
+                    )
+                    from_a = _corners_to_box(
+                        offset_2, offset_3, al * cos, -al * sin, aw * sin, aw * cos, bl, bw
+                    )
                     gap = math.sqrt(from_a if from_a < from_b else from_b)
                 min_gap = gap if gap < min_gap else min_gap
                 if keep > 0.0 and 1.0 - gap / keep > max_shortfall:
@@ -143,7 +157,9 @@ def _swept(
     return (min_ttc, min_gap, max_shortfall) if min_ttc < LONGEST else None
 
 
-def _cut(begins: float, ends: float, offset: float, reach: float, velocity: float) -> tuple[float, float]:
+def _cut(
+    begins: float, ends: float, offset: float, reach: float, velocity: float
+) -> tuple[float, float]:
     # Restrict an interval of contact to the time in which the boxes overlap along one axis.
     distance = abs(offset)
     parting = math.copysign(1.0, offset) * velocity + TINY

@@ -59,7 +59,12 @@ class CrashRecord:
     """The record of the scenario that a process is running. ``error`` contains the error that prevents records."""
 
     def __init__(
-        self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None, is_watched: bool = False
+        self,
+        folder: Path,
+        owner: str,
+        *,
+        world: Mapping[str, Any] | None = None,
+        is_watched: bool = False,
     ) -> None:
         """Prepare a record. Its file is created only for a scenario, so the record can be sent to another process.
 
@@ -113,7 +118,9 @@ class CrashRecord:
                 self._descriptor, self._path = _create(self._folder)
             os.lseek(self._descriptor, 0, os.SEEK_SET)
             # Not synchronised with the disk: the record must survive a crash of the process, but not of the machine.
-            os.write(self._descriptor, record + b"\n")  # only the first line counts, so an old record may be longer
+            os.write(
+                self._descriptor, record + b"\n"
+            )  # only the first line counts, so an old record may be longer
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
 
@@ -135,7 +142,9 @@ def _create(folder: Path) -> tuple[int, Path]:
 def _refuse_folder_of_others(folder: Path) -> None:
     for each in (folder.parent, folder):
         status = each.lstat()
-        is_of_others = sys.platform != "win32" and (status.st_uid != os.getuid() or status.st_mode & 0o022 != 0)
+        is_of_others = sys.platform != "win32" and (
+            status.st_uid != os.getuid() or status.st_mode & 0o022 != 0
+        )
         if is_of_others or not stat.S_ISDIR(status.st_mode):
             raise PermissionError(errno.EPERM, f"other users can write to {each}")
 
@@ -149,8 +158,12 @@ class Leftover:
     owner: str = ""  # the node id of the test; empty if the record cannot be read
     scenario: Scenario | None = None  # None if the record cannot be read
     world: Mapping[str, Any] | None = None  # as JSON-compatible data
-    reference: str = ""  # the name of the policy that drove instead of the ADS; empty if the ADS drove
-    is_watched: bool = False  # True if a session watched the process, so both must have died together
+    reference: str = (
+        ""  # the name of the policy that drove instead of the ADS; empty if the ADS drove
+    )
+    is_watched: bool = (
+        False  # True if a session watched the process, so both must have died together
+    )
 
     def discard(self) -> None:
         with suppress(OSError):  # if it cannot be removed, it is only reported again
@@ -199,7 +212,9 @@ def _leftover(path: Path) -> Leftover | None:
         scenario = Scenario.from_canonical(record["scenario"])
         world = dict(record["world"]) if record["world"] is not None else None
         owner, reference = str(record["owner"]), str(record.get("reference", ""))
-        leftover = replace(leftover, owner=owner, scenario=scenario, world=world, reference=reference)
+        leftover = replace(
+            leftover, owner=owner, scenario=scenario, world=world, reference=reference
+        )
         return replace(leftover, is_watched=bool(record.get("watched")))
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover

@@ -24,7 +24,15 @@ from types import ModuleType
 from typing import Any
 
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
-from pytest_pafot.execution.runner import Answer, Cluster, ExecutionError, Job, LostRun, Timed, Whole
+from pytest_pafot.execution.runner import (
+    Answer,
+    Cluster,
+    ExecutionError,
+    Job,
+    LostRun,
+    Timed,
+    Whole,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.process import installed_versions
@@ -41,7 +49,9 @@ Task = Scenario | Whole
 
 
 @contextmanager
-def connect(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
+def connect(
+    address: str, tell: Callable[[str], object], *, timeout: float = 10.0
+) -> Iterator[Cluster]:
     """Connect to a Dask scheduler and yield a function that creates pools of its workers.
 
     ``tell`` receives a message if the scheduler has no worker yet.
@@ -52,7 +62,9 @@ def connect(address: str, tell: Callable[[str], object], *, timeout: float = 10.
     try:
         from distributed import Client  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package distributed, which is missing. Run `{INSTALL}`") from None
+        raise ExecutionError(
+            f"{OPTION}: expected the package distributed, which is missing. Run `{INSTALL}`"
+        ) from None
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
@@ -81,7 +93,9 @@ class DaskPool:
     def __init__(self, executor: Executor, job: Job) -> None:
         self.recovered: list[LostRun] = []  # process deaths in runs whose second attempt succeeded
         self.failure = ""  # why the cluster cannot be used any more, or empty
-        self.unable: list[Exception] = []  # exceptions of workers in runs that this process has to repeat
+        self.unable: list[
+            Exception
+        ] = []  # exceptions of workers in runs that this process has to repeat
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # True if some worker has the content of the parcel
@@ -108,7 +122,10 @@ class DaskPool:
                 continue
             # The content is large, so it is sent only until a worker has it. A worker without it returns None.
             parcel = self._parcel if not self._is_known else replace(self._parcel, content=None)
-            named: Any = {"key": f"pafot-{next(self._numbers)}-{self._parcel.digest}", "pure": False}
+            named: Any = {
+                "key": f"pafot-{next(self._numbers)}-{self._parcel.digest}",
+                "pure": False,
+            }
             try:
                 # The scheduler sees only bytes and pickle.loads, so it does not need this package.
                 call = pickle.dumps(_Call(_run_task, parcel, task))
@@ -168,7 +185,9 @@ def _result(future: Future[Any]) -> Any:
 
 
 def _named(error: Exception) -> str:
-    text = str(error) or ("the scheduler dropped the tasks, or has ended" * isinstance(error, CancelledError))
+    text = str(error) or (
+        "the scheduler dropped the tasks, or has ended" * isinstance(error, CancelledError)
+    )
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
@@ -201,14 +220,18 @@ def packed(job: Job) -> Parcel:
     try:
         import cloudpickle  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"{OPTION}: expected the package cloudpickle, which is missing. Run `{INSTALL}`") from None
+        raise ExecutionError(
+            f"{OPTION}: expected the package cloudpickle, which is missing. Run `{INSTALL}`"
+        ) from None
     with ExitStack() as stack:
         # The loaded modules of the project are sent, too, because other machines need not have them installed.
         for module in [each for each in list(sys.modules.values()) if _is_below(job.root, each)]:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
-            content = cloudpickle.dumps(Job(world=job.world, policy=job.policy, records=Path(), owner=""))
+            content = cloudpickle.dumps(
+                Job(world=job.world, policy=job.policy, records=Path(), owner="")
+            )
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
                 f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received the "
@@ -220,7 +243,11 @@ def packed(job: Job) -> Parcel:
 
 def _is_below(root: Path, module: ModuleType) -> bool:
     name, file = getattr(module, "__name__", ""), getattr(module, "__file__", None)
-    if not file or sys.modules.get(name) is not module or name.partition(".")[0] in ("pytest_pafot", "__main__"):
+    if (
+        not file
+        or sys.modules.get(name) is not module
+        or name.partition(".")[0] in ("pytest_pafot", "__main__")
+    ):
         return False
     path = Path(file)
     return path.suffix == ".py" and path.is_relative_to(root) and "site-packages" not in path.parts
@@ -259,9 +286,13 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
         # There is an idle child for each task that has run at the same time. A child is put back after its task.
         pool = idle.get_nowait()
     except Empty:
-        multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which cannot have children.
+        multiprocessing.current_process().daemon = (
+            False  # Dask's workers are daemons, which cannot have children.
+        )
         work = partial(_run, whole)
-        pool = WorkerPool(work, 1, method="spawn", patience=whole.patience, idle=IDLE, **whole.closing)
+        pool = WorkerPool(
+            work, 1, method="spawn", patience=whole.patience, idle=IDLE, **whole.closing
+        )
     answer = pool.fetch(task)
     recovered, pool.recovered = pool.recovered, []
     if pool.failure or isinstance(answer, ExecutionError):
@@ -279,7 +310,9 @@ def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
 
 
 def _run(parcel: Parcel, task: Task, tell: object) -> Timed:
-    scenario, method = (task.scenario, task.method) if isinstance(task, Whole) else (task, "rollout")
+    scenario, method = (
+        (task.scenario, task.method) if isinstance(task, Whole) else (task, "rollout")
+    )
     return Job.run(partial(_unpacked, parcel), scenario, method)
 
 
@@ -288,5 +321,7 @@ def _unpacked(parcel: Parcel) -> Job:
     try:
         job: Job = pickle.loads(parcel.content or b"")  # noqa: S301  (packed by the session)
     except Exception as error:  # noqa: BLE001  (importing a user's module may raise anything)
-        raise ExecutionError(f"expected all packages of the ADS, received {type(error).__name__}: {error}") from None
+        raise ExecutionError(
+            f"expected all packages of the ADS, received {type(error).__name__}: {error}"
+        ) from None
     return job

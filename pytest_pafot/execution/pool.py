@@ -39,7 +39,9 @@ START_METHOD = "fork" if sys.platform == "linux" else "spawn"
 
 GRACE = 5.0  # additional time for a decision after its limit, or for a process that does not respond [s]
 IGNORED = 0.5  # additional time for a decision that ignores its interrupt; only the process ends, not the session [s]
-FAREWELL = 2.0  # time in which a process can end normally, together with its own child processes [s]
+FAREWELL = (
+    2.0  # time in which a process can end normally, together with its own child processes [s]
+)
 
 # How a process ended. These words must not change, because findings store them.
 KILLED = "was ended by SIGKILL"  # by something else, such as Linux when memory runs out
@@ -68,7 +70,9 @@ class ProcessLostError(Exception, Generic[TaskT]):
         is_hang: True if the process hung.
     """
 
-    def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
+    def __init__(
+        self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False
+    ) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
         self.end = how if isinstance(how, str) else ending(how)
         super().__init__(f"the {self.who} that ran {task} {self.end}")
@@ -91,7 +95,9 @@ class ProcessLostError(Exception, Generic[TaskT]):
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(ProcessLostError, self.task, pid=self.pid, how=self.end, is_hang=self.is_hang), ()
+        return partial(
+            ProcessLostError, self.task, pid=self.pid, how=self.end, is_hang=self.is_hang
+        ), ()
 
 
 @dataclass(eq=False)
@@ -227,7 +233,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def close(self, *, at_once: bool = False) -> None:
         """End all processes. Idle processes are killed only if ``at_once`` is set."""
         has_leave = self.leave is not None
-        ending = [each for each in self._workers if (has_leave or not at_once) and each.leaves(interrupted=has_leave)]
+        ending = [
+            each
+            for each in self._workers
+            if (has_leave or not at_once) and each.leaves(interrupted=has_leave)
+        ]
         # All processes share one deadline, so the end of the pool does not take longer with more processes.
         deadline = self.clock() + self.farewell
         try:
@@ -272,7 +282,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
                 work = partial(_quietly, self.work) if self._has_lost else self.work
-                idle = _Worker(self._context, work, others, self.grace, self.idle, self.leave, self.farewell)
+                idle = _Worker(
+                    self._context, work, others, self.grace, self.idle, self.leave, self.farewell
+                )
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -332,11 +344,18 @@ class WorkerPool(Generic[TaskT, ResultT]):
             how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
-            is_garbled = not worker.connection.readable  # the pipe was closed by a message above the largest size
+            is_garbled = (
+                not worker.connection.readable
+            )  # the pipe was closed by a message above the largest size
             how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
             self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
-            self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
+            self._lose(
+                task,
+                worker,
+                f"did not answer for {self.patience:.1f} s and was killed",
+                is_hang=True,
+            )
 
     def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
         self.left(left.said)
@@ -347,10 +366,14 @@ class WorkerPool(Generic[TaskT, ResultT]):
         if task in self._wanted:
             self._give(task)
 
-    def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False) -> None:
+    def _lose(
+        self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False
+    ) -> None:
         self._remove(worker)
         self._has_lost = True
-        lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
+        lost = ProcessLostError(
+            task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang
+        )
         # A process that dies before its first task was not killed by a task, and the next process would die, too.
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.end} before its first task")
@@ -366,7 +389,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         worker.process.join()
         worker.connection.close()
         self._workers.remove(worker)
-        for pid in (*children, worker.pid):  # The children may be processes of the worker's own pool.
+        for pid in (
+            *children,
+            worker.pid,
+        ):  # The children may be processes of the worker's own pool.
             self.ended(pid)
 
 
@@ -394,10 +420,14 @@ class _Worker(Generic[TaskT]):
         patience = None if is_bound else farewell if leave else 0.0
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
         # The process is a daemon, so that a cluster's worker that ends kills the process instead of waiting for it.
-        self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
+        self.process = context.Process(
+            target=_serve, args=arguments, name="pafot-worker", daemon=True
+        )
         with warnings.catch_warnings(), _blocked({signal.SIGINT}, context.get_start_method()):
             # Python warns about any thread. This module starts none, and the threads of libraries are documented.
-            warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
+            warnings.filterwarnings(
+                "ignore", message=".*multi-threaded.*fork", category=DeprecationWarning
+            )
             self.process.start()
         self.pid = int(self.process.pid)
         end.close()
@@ -443,7 +473,9 @@ class _Worker(Generic[TaskT]):
         except (EOFError, OSError):
             return None
         except Exception as error:  # noqa: BLE001  (unpickling the user's objects may raise anything)
-            expected = "expected a result that can be unpickled in the session, received one that raises"
+            expected = (
+                "expected a result that can be unpickled in the session, received one that raises"
+            )
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
@@ -483,7 +515,9 @@ def _end_children(pid: int) -> list[int]:
             for child in map(int, listed.read_text("utf-8").split()):
                 ended += [*_end_children(child), child]
                 with suppress(OSError):
-                    os.kill(child, signal.SIGKILL) if os.getpgid(child) != child else os.killpg(child, signal.SIGKILL)
+                    os.kill(child, signal.SIGKILL) if os.getpgid(child) != child else os.killpg(
+                        child, signal.SIGKILL
+                    )
                     descriptor = os.pidfd_open(child)
                     select.select([descriptor], [], [], POLL)  # until its files are closed
                     os.close(descriptor)
@@ -505,7 +539,9 @@ def _end_with_session(patience: float | None) -> None:
             bound_to(pid, signal.SIGKILL)
 
     def watch() -> None:
-        while session.is_alive() and os.getppid() == session.pid:  # a process of a policy may keep the pipe open
+        while (
+            session.is_alive() and os.getppid() == session.pid
+        ):  # a process of a policy may keep the pipe open
             session.join(POLL)
         if patience:
             if sys.platform != "win32":  # on Windows, the signal would kill the process
@@ -552,7 +588,9 @@ def _serve(
     def interrupt(*signalled: object) -> None:
         nonlocal is_leaving
         is_leaving = True
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the next signal ends a task that ignores the exception
+        signal.signal(
+            signal.SIGTERM, signal.SIG_DFL
+        )  # the next signal ends a task that ignores the exception
         if may_raise:  # otherwise, the process first sends its answer completely, and then ends
             raise KeyboardInterrupt  # no run mistakes it for an error of its policy
 
@@ -564,7 +602,9 @@ def _serve(
     gc.freeze()  # otherwise, a garbage collection would touch, and so copy, all of the session's memory
     for other in inherited:
         other.close()  # otherwise, the end of the session or of another process would go unnoticed
-    multiprocessing.current_process().daemon = False  # daemons cannot have children, but an ADS may start processes
+    multiprocessing.current_process().daemon = (
+        False  # daemons cannot have children, but an ADS may start processes
+    )
     # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
     # SIG_IGN, but must be interrupted.
     signal.signal(signal.SIGINT, lambda number, frame: None)
@@ -579,7 +619,9 @@ def _serve(
     with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             may_raise = True
-            if is_leaving or not connection.poll(idle):  # Python continues to wait after a signal that raises nothing
+            if is_leaving or not connection.poll(
+                idle
+            ):  # Python continues to wait after a signal that raises nothing
                 break
             may_raise = False
             task = connection.recv()
@@ -591,7 +633,9 @@ def _serve(
                     raise KeyboardInterrupt
                 said = _sendable((True, work(task, tell)))
                 may_raise = False
-            except MemoryError:  # not sent: the session would run the task itself and use up its own memory
+            except (
+                MemoryError
+            ):  # not sent: the session would run the task itself and use up its own memory
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
@@ -641,5 +685,7 @@ def _portable(error: BaseException) -> Exception:
         pickle.loads(pickle.dumps(told))  # noqa: S301  (made by this process)
     except Exception:  # noqa: BLE001  (pickling the user's exception may raise anything)
         told = worded
-    told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))  # Tracebacks cannot be pickled.
+    told.add_note(
+        "In a worker:\n" + "".join(traceback.format_exception(error))
+    )  # Tracebacks cannot be pickled.
     return told

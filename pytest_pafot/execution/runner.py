@@ -25,7 +25,14 @@ from queue import SimpleQueue
 from typing import Any, Self, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import (
+    FAREWELL,
+    GRACE,
+    IGNORED,
+    START_METHOD,
+    ProcessLostError,
+    WorkerPool,
+)
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.verdict import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
@@ -53,14 +60,18 @@ class CapturedOutput:
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
-    threads: list[tuple[str, str]] = field(default_factory=list)  # names and tracebacks of threads that raised
+    threads: list[tuple[str, str]] = field(
+        default_factory=list
+    )  # names and tracebacks of threads that raised
 
     def __bool__(self) -> bool:
         return bool(self.out or self.err or self.records or self.warned or self.threads)
 
     def followed_by(self, other: CapturedOutput) -> CapturedOutput:
         names = [each.name for each in fields(self)]
-        return CapturedOutput(**{name: getattr(self, name) + getattr(other, name) for name in names})
+        return CapturedOutput(
+            **{name: getattr(self, name) + getattr(other, name) for name in names}
+        )
 
     def repeat(self) -> None:
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
@@ -69,12 +80,19 @@ class CapturedOutput:
         for record in self.records:
             logging.getLogger().callHandlers(record)
         with warnings.catch_warnings():
-            warnings.simplefilter("always")  # They passed the filters of the process in which they were raised.
+            warnings.simplefilter(
+                "always"
+            )  # They passed the filters of the process in which they were raised.
             for each in self.warned:
                 warnings.warn_explicit(*each)
-        for name, text in self.threads:  # The hook of the session is pytest's, which warns, or fails the test.
+        for (
+            name,
+            text,
+        ) in self.threads:  # The hook of the session is pytest's, which warns, or fails the test.
             error = RuntimeError(f"in another process:\n{text}")
-            threading.excepthook(threading.ExceptHookArgs((type(error), error, None, threading.Thread(name=name))))
+            threading.excepthook(
+                threading.ExceptHookArgs((type(error), error, None, threading.Thread(name=name)))
+            )
 
 
 @contextmanager
@@ -85,25 +103,35 @@ def capture_output() -> Iterator[CapturedOutput]:
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
 
     def note(ended: threading.ExceptHookArgs) -> None:
-        text = "".join(traceback.format_exception(ended.exc_type, ended.exc_value, ended.exc_traceback))
+        text = "".join(
+            traceback.format_exception(ended.exc_type, ended.exc_value, ended.exc_traceback)
+        )
         captured.threads.append((ended.thread.name if ended.thread else "", text))
 
     hook, threading.excepthook = threading.excepthook, note
     try:
-        with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings(record=True) as warned:
+        with (
+            redirect_stdout(out),
+            redirect_stderr(err),
+            warnings.catch_warnings(record=True) as warned,
+        ):
             yield captured
     finally:
         root.handlers = handlers
         threading.excepthook = hook
     captured.out, captured.err = out.text, err.text
     captured.records = [queue.get() for _ in range(queue.qsize())]
-    captured.warned = [(str(each.message), each.category, each.filename, each.lineno) for each in warned]
+    captured.warned = [
+        (str(each.message), each.category, each.filename, each.lineno) for each in warned
+    ]
 
 
 class _Stream(io.TextIOWrapper):
     def __init__(self) -> None:
         self._bytes = io.BytesIO()
-        super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
+        super().__init__(
+            self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True
+        )
 
     def close(self) -> None:
         """Ignore the call, because the captured code can close its standard streams."""
@@ -166,7 +194,9 @@ Answer: TypeAlias = Timed | Exception
 # A pool for scenarios and Whole tasks, which get one Answer each, and for Chunks, which send several Timed results.
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 
-RunScenario: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]  # runs a scenario with the policies of a factory
+RunScenario: TypeAlias = Callable[
+    [Scenario, Callable[..., Any]], Any
+]  # runs a scenario with the policies of a factory
 
 Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
 
@@ -185,12 +215,16 @@ class Job:
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()  # the folder of the project, whose modules are sent to other machines
-    read: Callable[[Trace], Any] | None = None  # returns the value that a process sends instead of a trace
+    read: Callable[[Trace], Any] | None = (
+        None  # returns the value that a process sends instead of a trace
+    )
     # Runs a chunk in a process.
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
     own: RunScenario | None = None  # runs scenarios instead of the world
     remark: str = ""  # an addition to the note on the use of processes
-    reference: str = ""  # the name of the policy if it is the reference of a search; empty for the tested one
+    reference: str = (
+        ""  # the name of the policy if it is the reference of a search; empty for the tested one
+    )
 
     @property
     def patience(self) -> float:
@@ -201,7 +235,11 @@ class Job:
     def closing(self) -> dict[str, Any]:
         if not isinstance(self.world, SimulatorWorld):
             return {}
-        return {"leave": _close_simulators, "left": CapturedOutput.repeat, "farewell": FAREWELL + CLOSING}
+        return {
+            "leave": _close_simulators,
+            "left": CapturedOutput.repeat,
+            "farewell": FAREWELL + CLOSING,
+        }
 
     @staticmethod
     def run(
@@ -217,7 +255,9 @@ class Job:
 
     def driving(self, drive: str | RunScenario) -> RunScenario:
         """Wrap a function, or a method of the world, so that it runs with seeded global random generators."""
-        return partial(GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive)
+        return partial(
+            GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive
+        )
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
         return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
@@ -275,7 +315,11 @@ def _run_task(
 
 
 def run_recorded(
-    job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Any] | None, method: str = "rollout"
+    job: Job,
+    record: CrashRecord,
+    scenario: Scenario,
+    read: Callable[[Trace], Any] | None,
+    method: str = "rollout",
 ) -> Timed:
     """Run a scenario while its crash record is on disk. ``read`` is a function like ``Job.read``, or None."""
     record.write(scenario, reference=job.reference)
@@ -283,7 +327,10 @@ def run_recorded(
     if read is None:
         return trace, output, seconds
     made = None
-    with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
+    with (
+        capture_output() as said,
+        suppress(Exception),
+    ):  # it is raised again in the session, which reads the trace
         made = read(trace)
     return (trace, output, seconds) if made is None else (made, output.followed_by(said), seconds)
 
@@ -364,7 +411,10 @@ DEAR = 0.010  # mean duration of a run from which other processes make a search 
 # to be fast.
 WARM_RUNS = 2  # number of runs after the first one that decide whether other processes are used
 
-AHEAD, AHEAD_ELSEWHERE = 4, 128  # scenarios that are sent in advance to each process, and to all workers of a cluster
+AHEAD, AHEAD_ELSEWHERE = (
+    4,
+    128,
+)  # scenarios that are sent in advance to each process, and to all workers of a cluster
 
 
 class Here:
@@ -379,13 +429,17 @@ class Here:
         self._held = ExitStack()
 
     def __enter__(self) -> Self:
-        self._held.enter_context(GENERATORS.held(may_share=not self.is_elsewhere))  # clients have threads
+        self._held.enter_context(
+            GENERATORS.held(may_share=not self.is_elsewhere)
+        )  # clients have threads
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._held.close()
 
-    def once(self, scenario: Scenario, drive: str | RunScenario = "rollout", *, most: int | None = None) -> Any:
+    def once(
+        self, scenario: Scenario, drive: str | RunScenario = "rollout", *, most: int | None = None
+    ) -> Any:
         """Run a scenario, and return the trace, or the result of the function ``drive``.
 
         Args:
@@ -402,10 +456,14 @@ class Here:
         made = self._once(scenario, drive, most)
         if isinstance(made, Trace):
             # A run in another process can have more decisions than ``most``, so their number is limited here.
-            self.decisions += min(len(made.actions), most or sys.maxsize)  # the same for any number of processes
+            self.decisions += min(
+                len(made.actions), most or sys.maxsize
+            )  # the same for any number of processes
         return made
 
-    def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
+    def results(
+        self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]
+    ) -> Iterator[Any]:
         """Yield the result of each scenario in order: the value of ``Job.read``, a trace, or a ``ProcessLostError``.
 
         ``skips`` is called just before each scenario runs. If it returns True, the scenario is skipped.
@@ -434,11 +492,15 @@ class Here:
         """The mean duration [s] of the runs so far, excluding the first run, or 0 if it is unknown."""
         return 0.0
 
-    def _once(self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None) -> Any:
+    def _once(
+        self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None
+    ) -> Any:
         __tracebackhide__ = True
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
-        return self.job.driving(drive)(scenario, factory if most is None else end_after(factory, most))
+        return self.job.driving(drive)(
+            scenario, factory if most is None else end_after(factory, most)
+        )
 
 
 class Apart(Here):
@@ -469,8 +531,12 @@ class Apart(Here):
         self._cluster = cluster
         self._clock = clock
         # Processes start only when a run turns out to be slow, see _learn.
-        self._expected: dict[Scenario | Whole, None] = {}  # announced runs that were not yet requested, in order
-        self.recovered: list[LostRun] = []  # process deaths in earlier pools, in scenarios that succeeded later
+        self._expected: dict[
+            Scenario | Whole, None
+        ] = {}  # announced runs that were not yet requested, in order
+        self.recovered: list[
+            LostRun
+        ] = []  # process deaths in earlier pools, in scenarios that succeeded later
         self._pool: ScenarioPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False
@@ -483,9 +549,14 @@ class Apart(Here):
         if self._pool is not None:
             self._pool.close(at_once=kind is not None)
 
-    def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
+    def results(
+        self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]
+    ) -> Iterator[Any]:
         __tracebackhide__ = True
-        coming, most = iter(scenarios), AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
+        coming, most = (
+            iter(scenarios),
+            AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers,
+        )
         ahead = deque[Scenario]()
         while True:
             # New scenarios are sent while half of the old ones are still to be run, so that no process waits.
@@ -521,10 +592,16 @@ class Apart(Here):
             self._expected[task] = None
             self._pool.add_all([task])
 
-    def _once(self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None) -> Any:
+    def _once(
+        self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None
+    ) -> Any:
         __tracebackhide__ = True
         if not self._is_only:
-            return self._made(scenario, Whole(scenario), most) if drive == "rollout" else super()._once(scenario, drive)
+            return (
+                self._made(scenario, Whole(scenario), most)
+                if drive == "rollout"
+                else super()._once(scenario, drive)
+            )
         if isinstance(drive, str):
             return self._made(scenario, Whole(scenario, drive))
         # Only a process that is forked now has the function. Its death counts even if a second process survives.
@@ -532,7 +609,9 @@ class Apart(Here):
             answer = self._fetched(scenario, pool)
         return made_apart(pool.recovered[0] if pool.recovered else answer)
 
-    def _made(self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None) -> Any:
+    def _made(
+        self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None
+    ) -> Any:
         __tracebackhide__ = True
         # None means that no process has the task or can run it, so this process does.
         made = self._collect(task or scenario)
@@ -564,7 +643,9 @@ class Apart(Here):
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
-        return [f"{option} was not used, because runs took only {mean:.1f} ms. Workers help from {dear:g} ms per run"]
+        return [
+            f"{option} was not used, because runs took only {mean:.1f} ms. Workers help from {dear:g} ms per run"
+        ]
 
     @property
     def in_use(self) -> int:
@@ -628,7 +709,9 @@ class Apart(Here):
             raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer: Answer = pool.fetch(task)
         if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected a process for the ADS, but none works: {pool.failure}")
+            raise ExecutionError(
+                f"{flag('isolate')}: expected a process for the ADS, but none works: {pool.failure}"
+            )
         # A package may be missing on another machine. This must not be taken for an error of the ADS.
         is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
         if is_raised and self.is_elsewhere and own is None:
@@ -646,8 +729,17 @@ class Apart(Here):
     def _learn(self, seconds: float) -> None:
         self.count(1, seconds)
         # The first run is not in the mean, because it loads libraries.
-        is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
-        if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear and not self._drives:
+        is_dear = (
+            self._warm_seconds >= DEAR * (self._runs - 1)
+            if self._runs > WARM_RUNS
+            else seconds >= DEAR
+        )
+        if (
+            self._pool is not None
+            and self._runs == WARM_RUNS + 1
+            and not is_dear
+            and not self._drives
+        ):
             self._pool.close(at_once=True)
             self._pool, self._runs_before = None, 0
         elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
@@ -703,7 +795,9 @@ def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
     if forks() and isolates():
         # The run is repeated below in this process, because a test may read what its policy has stored.
         with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-            job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
+            job = Job(
+                world=base, policy=Policy(ads), records=Path(records, "records"), owner="test"
+            )
             with job.crash_record() as record, Apart(job, record) as runner:
                 try:
                     runner.once(scenario)

@@ -38,11 +38,17 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     lanelets = []
     for number, lane in enumerate(trace.lanes, FIRST_LANELET):
         left, right = edges(lane)
-        lanelets.append(Lanelet(left, (left + right) / 2, right, number, lanelet_type={LaneletType.HIGHWAY}))
+        lanelets.append(
+            Lanelet(left, (left + right) / 2, right, number, lanelet_type={LaneletType.HIGHWAY})
+        )
     scenario.add_objects(LaneletNetwork.create_from_lanelet_list(lanelets))
     states = states_of(trace)
     for vehicle, (length, width) in enumerate(trace.sizes.tolist()):
-        shape, first, later = Rectangle(length, width), _first(states[0, vehicle]), enumerate(states[1:, vehicle], 1)
+        shape, first, later = (
+            Rectangle(length, width),
+            _first(states[0, vehicle]),
+            enumerate(states[1:, vehicle], 1),
+        )
         rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
         driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
         kind = trace.vehicle_type(vehicle).kind

@@ -104,7 +104,9 @@ def exporter(name: str) -> Exporter:
         ExportError: if the format is unknown or a library is missing.
     """
     if name not in FORMATS:
-        raise ExportError(field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name))
+        raise ExportError(
+            field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name)
+        )
     module, _, function = FORMATS[name].partition(":")
     try:
         made: Exporter = getattr(import_module(f"{__package__}.{module}"), function)
@@ -121,7 +123,19 @@ def exporter(name: str) -> Exporter:
     return made
 
 
-COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
+COLUMNS = (
+    "time",
+    "vehicle",
+    "x",
+    "y",
+    "heading",
+    "speed",
+    "acceleration",
+    "steering",
+    "lane",
+    "length",
+    "width",
+)
 """The columns, in units of s, m and rad. Lanes are numbered from 0 at the left; -1 means off the road."""
 
 
@@ -137,12 +151,18 @@ def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    parser.add_argument("finding", metavar="FILE|FINDING", help="export this saved scenario, given by its file or id")
+    parser.add_argument(
+        "finding",
+        metavar="FILE|FINDING",
+        help="export this saved scenario, given by its file or id",
+    )
     of_to = f"write this format: {', '.join(FORMATS)}"
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
     of_ads = "drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)
-    add_world_arguments(parser, "required if the world of the file is code, such as wrappers", has_config=False)
+    add_world_arguments(
+        parser, "required if the world of the file is code, such as wrappers", has_config=False
+    )
     of_out = "write to this folder (default: the current folder)"
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
 
@@ -158,9 +178,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     world = saved.world if made is None else file_or_named_world(saved.finding.world, made)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     error = driven.trace.error
-    if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
+    if (
+        error is not None
+        and not driven.trace.actions
+        and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+    ):
         expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
-        fix = "use the policy of the test" + ("" if made is None else ", and its world if that is code")
+        fix = "use the policy of the test" + (
+            "" if made is None else ", and its world if that is code"
+        )
         raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
     files = export(saved.finding, driven.trace)
     with postponed():  # one of several files is useless alone, such as a scenario without its road

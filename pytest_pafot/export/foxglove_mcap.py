@@ -27,7 +27,11 @@ from pytest_pafot.findings.finding import Finding
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5  # height of the boxes that show vehicles [m]
-EGO, NPC, EDGE = Color(r=0.1, g=0.5, b=0.9, a=1), Color(r=0.9, g=0.4, b=0.1, a=1), Color(r=0.6, g=0.6, b=0.6, a=1)
+EGO, NPC, EDGE = (
+    Color(r=0.1, g=0.5, b=0.9, a=1),
+    Color(r=0.9, g=0.4, b=0.1, a=1),
+    Color(r=0.6, g=0.6, b=0.6, a=1),
+)
 # The names of the columns of the states, in their order.
 NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
 SCHEMA = {
@@ -38,7 +42,10 @@ SCHEMA = {
             "type": "array",
             "items": {
                 "type": "object",
-                "properties": {"name": {"type": "string"}, **{name: {"type": "number"} for name in NUMBERS}},
+                "properties": {
+                    "name": {"type": "string"},
+                    **{name: {"type": "number"} for name in NUMBERS},
+                },
             },
         },
     },
@@ -52,7 +59,9 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """
     content, context = io.BytesIO(), Context()
     with open_mcap(content, context=context):
-        road, vehicles = (SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles"))
+        road, vehicles = (
+            SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles")
+        )
         numbers = Channel("/states", schema=SCHEMA, context=context)
         lines = []
         for line in (each for lane in trace.lanes for each in edges(lane)):

@@ -23,9 +23,15 @@ NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs giv
 def road_file(name: str, trace: Trace) -> bytes:
     """Return an OpenDRIVE file with a single road if all lanes are straight and adjacent, or else a road per lane."""
     drive = xodr.OpenDrive(name)
-    for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
+    for number, group in enumerate(
+        [trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]
+    ):
         # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
-        plan, section, parts = xodr.PlanView(), xodr.LaneSection(0, xodr.standard_lane()), xodr.Lanes()
+        plan, section, parts = (
+            xodr.PlanView(),
+            xodr.LaneSection(0, xodr.standard_lane()),
+            xodr.Lanes(),
+        )
         for geometry, start, heading in _geometries(group[0]):
             plan.add_fixed_geometry(geometry, *start.tolist(), heading)
         for lane in group:
@@ -33,7 +39,12 @@ def road_file(name: str, trace: Trace) -> bytes:
         parts.add_laneoffset(xodr.LaneOffset(0, group[0].width / 2))
         parts.add_lanesection(section)
         road = xodr.Road(number, plan, parts)
-        road.add_type(xodr.RoadType.motorway, 0, speed=max(lane.speed_limit for lane in group), speed_unit="m/s")
+        road.add_type(
+            xodr.RoadType.motorway,
+            0,
+            speed=max(lane.speed_limit for lane in group),
+            speed_unit="m/s",
+        )
         road.add_elevation(0, 0, 0, 0, 0)
         drive.add_road(road)
     element = drive.get_element()
@@ -47,7 +58,9 @@ def _are_one(lanes: Sequence[Lane]) -> bool:
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2
     x, y = first.x - right * math.sin(first.heading), first.y + right * math.cos(first.heading)
-    there = np.stack([x, y, np.full(len(lanes), first.heading), np.full(len(lanes), first.length)], axis=-1)
+    there = np.stack(
+        [x, y, np.full(len(lanes), first.heading), np.full(len(lanes), first.length)], axis=-1
+    )
     given = [(lane.x, lane.y, lane.heading, lane.length) for lane in lanes]
     return not any(lane.points for lane in lanes) and np.allclose(given, there, atol=1e-6)
 
@@ -103,7 +116,9 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         positions = _rear_axles(states, size[0])
         kind = trace.vehicle_type(vehicle).kind
         box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
-        if minor == 0:  # CARLA's scenario_runner, which reads this version, finds the ego by this property
+        if (
+            minor == 0
+        ):  # CARLA's scenario_runner, which reads this version, finds the ego by this property
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")
         entities.add_scenario_object(name, box)
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
@@ -126,7 +141,10 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         osc_minor_version=minor,
         creation_date=datetime.fromisoformat(NO_DATE),
     )
-    return {f"{finding.id}.xosc": text_of(scenario.get_element()), road: road_file(finding.id, trace)}
+    return {
+        f"{finding.id}.xosc": text_of(scenario.get_element()),
+        road: road_file(finding.id, trace),
+    }
 
 
 def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
@@ -139,20 +157,35 @@ def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
     heading = states[:, HEADING]
     back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     positions = states[:, [X, Y]] - back
-    return [xosc.WorldPosition(x, y, 0, h) for (x, y), h in zip(positions.tolist(), heading.tolist(), strict=True)]
+    return [
+        xosc.WorldPosition(x, y, 0, h)
+        for (x, y), h in zip(positions.tolist(), heading.tolist(), strict=True)
+    ]
 
 
-def _vehicle(name: str, length: float, width: float, category: xosc.VehicleCategory) -> xosc.Vehicle:
+def _vehicle(
+    name: str, length: float, width: float, category: xosc.VehicleCategory
+) -> xosc.Vehicle:
     box = xosc.BoundingBox(width, length, 1.5, REAR_AXLE * length, 0, 0.75)
-    front, rear = (xosc.Axle(0.5, 0.6, 0.8 * width, place, 0.3) for place in (2 * REAR_AXLE * length, 0))
-    return xosc.Vehicle(name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION)
+    front, rear = (
+        xosc.Axle(0.5, 0.6, 0.8 * width, place, 0.3) for place in (2 * REAR_AXLE * length, 0)
+    )
+    return xosc.Vehicle(
+        name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION
+    )
 
 
-def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition], minor: int) -> xosc.ManeuverGroup:
+def _replay(
+    name: str, times: list[float], positions: list[xosc.WorldPosition], minor: int
+) -> xosc.ManeuverGroup:
     trajectory = xosc.Trajectory(f"{name} drove", False)
     trajectory.add_shape(xosc.Polyline(times, positions))
-    follow = xosc.FollowTrajectoryAction(trajectory, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1, 0)
-    event = xosc.Event(f"{name} drives", xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite)
+    follow = xosc.FollowTrajectoryAction(
+        trajectory, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1, 0
+    )
+    event = xosc.Event(
+        f"{name} drives", xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite
+    )
     event.add_trigger(_at(f"{name} begins", 0, minor))
     event.add_action(f"{name} follows", follow)
     manoeuvre = xosc.Maneuver(f"{name} replays")
@@ -164,6 +197,8 @@ def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition], 
 
 
 def _at(name: str, seconds: float, minor: int, triggers: str = "start") -> xosc.ValueTrigger:
-    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan  # 1.0 has no other rule that stays true
+    rule = (
+        xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan
+    )  # 1.0 has no other rule that stays true
     condition = xosc.SimulationTimeCondition(seconds, rule)
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)

@@ -23,9 +23,13 @@ PARTS = {
     "lateral_acceleration": (0.2, "{:z.1f} m/s^2"),
     "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
-SHARE = 0.05  # the smallest difference that counts between two numbers in an environment's own units
+SHARE = (
+    0.05  # the smallest difference that counts between two numbers in an environment's own units
+)
 CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego counts as driving along it [m]
-ALONG = DRIFTING / 10  # the sideways speed below which the ego counts as driving along the road [m/s]
+ALONG = (
+    DRIFTING / 10
+)  # the sideways speed below which the ego counts as driving along the road [m/s]
 # Below this sideways speed, or change of sideways speed between two decisions, the ego counts as not steering [m/s].
 STEADY = 0.003
 # A drift takes at least this long to reach the line [s]. A lane change also starts slowly, but takes less time.
@@ -78,7 +82,10 @@ class Moment:
         # The rows of the conditions, below the vehicle that they are about.
         lines = []
         for whom, rows in self.conditions:
-            lines += [*([f"{whom}:"] if whom else []), *(f"{'  ' if whom else ''}{row}" for row in rows)]
+            lines += [
+                *([f"{whom}:"] if whom else []),
+                *(f"{'  ' if whom else ''}{row}" for row in rows),
+            ]
         return lines
 
 
@@ -138,7 +145,9 @@ def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
 
 def deed_of(run: Run, sentences: Sequence[str]) -> str:
     """Return the sentence about what the ego did wrong, or an empty string if the ego is not at fault."""
-    if run.responsibility not in ("ego", "both") or len(sentences) < 2:  # a fixed object has only the last sentence
+    if (
+        run.responsibility not in ("ego", "both") or len(sentences) < 2
+    ):  # a fixed object has only the last sentence
         return ""
     return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
 
@@ -162,7 +171,9 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     side = 1.0 if drifts[tick] > 0 else -1.0
     lanes = [_lane_of(action, math.nan) for action in trace.actions[: number + 1]]
     is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
-    if any(is_across):  # The ego is steered gently to the lane of a LaneCommand, so its motion shows the decision late.
+    if any(
+        is_across
+    ):  # The ego is steered gently to the lane of a LaneCommand, so its motion shows the decision late.
         while not is_across[number]:
             number -= 1
         while number and is_across[number - 1]:
@@ -185,7 +196,9 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
     ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
     turn = trace.road.direction_of_places(trace.decision_ticks[number])
     (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
-    boxes = [(each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))]
+    boxes = [
+        (each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))
+    ]
     return placed(dx * cos + dy * sin, dy * cos - dx * sin, other[SPEED] - ego[SPEED], *boxes)
 
 
@@ -197,8 +210,16 @@ def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float
     for angle, length, width in boxes:
         gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
     words = [f"{gap:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if gap > 0 else "next to the ego"]
-    words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
-    pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "equally fast"
+    words += (
+        [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"]
+        if abs(right) >= 0.05
+        else []
+    )
+    pace = (
+        f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
+        if abs(faster) >= 0.05
+        else "equally fast"
+    )
     return ", ".join([*words, pace])
 
 
@@ -224,7 +245,11 @@ def _plain(action: Any) -> Any:
     if isinstance(action, tuple):
         return list(action)
     is_bare = repr(action) == object.__repr__(action)  # contains the address of the object
-    return vars(action) if hasattr(action, "__dict__") and (is_bare or is_dataclass(action)) else action
+    return (
+        vars(action)
+        if hasattr(action, "__dict__") and (is_bare or is_dataclass(action))
+        else action
+    )
 
 
 def text_of_any(action: Any) -> str:
@@ -253,7 +278,11 @@ def _lane_of(action: Any, otherwise: float | None) -> Any:
 
 def is_si(action: Any) -> bool:
     """Return whether an action is a tuple (acceleration, steering) in SI units."""
-    return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
+    return (
+        type(action) is tuple
+        and len(action) == 2
+        and all(isinstance(each, float) for each in action)
+    )
 
 
 def parts_of(action: Any) -> dict[str, Any]:
@@ -268,7 +297,9 @@ def differing_parts(action: Any, other: Any) -> list[str]:
     parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
         defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}
-        return [name for name, value in parts.items() if name not in defaults or value != defaults[name]]
+        return [
+            name for name, value in parts.items() if name not in defaults or value != defaults[name]
+        ]
     names = []
     for name, there in parts_of(other).items():
         here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))

@@ -18,7 +18,14 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
+from pytest_pafot.findings.situation import (
+    BEFORE,
+    Situation,
+    ZoneSituation,
+    missed,
+    seconds_after,
+    situation_of,
+)
 from pytest_pafot.findings.verdict import (
     AT_ZONES,
     CHECK_FAILED,
@@ -56,7 +63,9 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 def portable(text: str, root: str = "") -> str:
     """Replace the parts of a string that differ between processes or checkouts."""
-    if root:  # paths become relative to the project here, and to the folder of installed packages below
+    if (
+        root
+    ):  # paths become relative to the project here, and to the folder of installed packages below
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
     text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
@@ -83,7 +92,9 @@ ID_RULE = "1 to 120 ASCII letters, digits, '_', '-' and '.', with no '-' or '.' 
 class Bounded:
     """The value and the bounds of a failed check, in the check's unit."""
 
-    value: float | None = None  # None if it was not a finite number, or if its magnitude was above a billion
+    value: float | None = (
+        None  # None if it was not a finite number, or if its magnitude was above a billion
+    )
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -145,7 +156,9 @@ class Expect:
     @property
     def signature(self) -> Signature:
         # The identity of the failure, as far as these fields determine it.
-        return Signature.from_facts(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
+        return Signature.from_facts(
+            **{part.name: getattr(self, part.name, None) for part in fields(Signature)}
+        )
 
     @property
     def brief(self) -> str:
@@ -153,7 +166,16 @@ class Expect:
         if self.check is not None:
             told = {name: value for name, value in asdict(self.check).items() if name != "value"}
             value = math.nan if self.check.value is None else self.check.value
-            return str(Check(name=self.assertion, value=value, margin=-1.0, time=self.time, npc=self.npc, **told))
+            return str(
+                Check(
+                    name=self.assertion,
+                    value=value,
+                    margin=-1.0,
+                    time=self.time,
+                    npc=self.npc,
+                    **told,
+                )
+            )
         if self.is_crash or self.message:
             return f"{self.failure}: {self.message}" if self.message else self.failure
         if self.signature.is_property or self.outcome is Outcome.COMPLETED:
@@ -162,7 +184,9 @@ class Expect:
         if self.outcome is not Outcome.COLLISION:
             return f"{self.outcome} after {self.time:.1f} s"
         whence = "" if self.zone is None else self.zone.partition(" ")[2]
-        return capitalised(impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed))
+        return capitalised(
+            impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed)
+        )
 
     def is_of(self, run: Run) -> bool:
         """Return whether a run contains this finding's collision, at the same time and with the same NPC."""
@@ -174,7 +198,9 @@ class Expect:
         told = run.sentences
         if self.takeover is None or not self.is_of(run):
             return told
-        return *told[:-1], responsible_sentence(run.attribution.responsibility, self.npc, self.takeover)
+        return *told[:-1], responsible_sentence(
+            run.attribution.responsibility, self.npc, self.takeover
+        )
 
     @classmethod
     def from_run(
@@ -201,7 +227,9 @@ class Expect:
             bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
             failure=failure.kind,
-            assertion=failure.assertion if failure.check else normalised(failure.assertion, failure.message),
+            assertion=failure.assertion
+            if failure.check
+            else normalised(failure.assertion, failure.message),
             check=bounded,
             message="" if is_told else _portable_line(failure, root),
             outcome=run.outcome,
@@ -357,7 +385,9 @@ class Finding:
 
     def with_sight(self, line: str) -> str:
         """Add the limits of perception, if there are any, to a line about the failure."""
-        return line if self.perception is None else f"{line}, found with {self.perception.described}"
+        return (
+            line if self.perception is None else f"{line}, found with {self.perception.described}"
+        )
 
     @classmethod
     def from_run(
@@ -376,7 +406,13 @@ class Finding:
         expect = Expect.from_run(run, failure, against=against, root=root)
         id_ = f"{signature_of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(
-            id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found, perception=perception
+            id=id_,
+            test=test,
+            scenario=run.scenario,
+            world=world,
+            expect=expect,
+            found=found,
+            perception=perception,
         )
 
 
@@ -394,7 +430,9 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
     """Return the event of a failed check, or else the run's most important event."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
-        return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
+        return FailureEvent(
+            time=run.event_time if check.time is None else check.time, npc=check.npc
+        )
     time = run.event_time if check is None or check.time is None else check.time
     npc, cell = run.event_npc, run.event_cell
     zone = run.trace.zones[npc] if run.trace.zones and npc is not None else None
@@ -445,10 +483,14 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     deepest = statements[-1][0] if statements else ""
     # Other code can precede it on the same line, as in `if run.collision: assert ...`.
     asserted = (
-        re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL) if isinstance(exception, AssertionError) else None
+        re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL)
+        if isinstance(exception, AssertionError)
+        else None
     )
     assertion = asserted[1] if asserted else (own[-1] if own else "")
-    return Failure(kind=type(exception).__name__, message=message_of(exception), assertion=assertion)
+    return Failure(
+        kind=type(exception).__name__, message=message_of(exception), assertion=assertion
+    )
 
 
 def message_of(exception: BaseException) -> str:
@@ -458,10 +500,16 @@ def message_of(exception: BaseException) -> str:
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
     """Raise a ValueError if a corpus file cannot store a value. The message names the unsuitable part."""
-    if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
+    if (
+        value is None
+        or isinstance(value, (bool, int, str))
+        or (isinstance(value, float) and not math.isnan(value))
+    ):
         return
     if depth >= MAX_DEPTH:
-        raise FieldError(field=name, expected=f"at most {MAX_DEPTH} levels of nesting", received="more")
+        raise FieldError(
+            field=name, expected=f"at most {MAX_DEPTH} levels of nesting", received="more"
+        )
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if not isinstance(key, str) or len(key) > MAX_KEY:
@@ -472,8 +520,16 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
-        expected, fix = "null, a Boolean, a number other than NaN, a string, a list or a mapping", "convert the value"
-        raise FieldError(field=name, expected=expected, received=f"the {type(value).__name__} {value!r:.60}", fix=fix)
+        expected, fix = (
+            "null, a Boolean, a number other than NaN, a string, a list or a mapping",
+            "convert the value",
+        )
+        raise FieldError(
+            field=name,
+            expected=expected,
+            received=f"the {type(value).__name__} {value!r:.60}",
+            fix=fix,
+        )
 
 
 def _portable_line(failure: Failure, root: str) -> str:
@@ -486,7 +542,9 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
         at = tb.tb_lasti // 2
-        start, end, *_ = next(islice(code.co_positions(), at, None), (None, None)) if at >= 0 else (None, None)
+        start, end, *_ = (
+            next(islice(code.co_positions(), at, None), (None, None)) if at >= 0 else (None, None)
+        )
         first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
         numbers = range(first, min(last, first + 50) + 1)
         lines = [linecache.getline(code.co_filename, number, frame.f_globals) for number in numbers]
@@ -499,7 +557,9 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 # Two runs without contact count as the same if no position differs by more than this distance [m].
 SAME_PLACE = 0.5
 
-SAME_TIME = 0.2  # largest difference between the times of two events that count as the same event [s]
+SAME_TIME = (
+    0.2  # largest difference between the times of two events that count as the same event [s]
+)
 
 # A replay that passes continues for this time after the end of the saved run [s]. A saved run ends shortly after its
 # failure, so a policy that only drives more slowly would pass before it makes the same mistake.
@@ -518,16 +578,24 @@ def handles(finding: Finding, run: Run) -> bool:
     if expect.is_crash:  # The process survived, whatever the run shows.
         return True
     # If a different party is responsible for the same event, the policy has changed and not the test.
-    if is_same_event(expect, run) and (expect.situation is None or run.responsibility == expect.responsibility):
+    if is_same_event(expect, run) and (
+        expect.situation is None or run.responsibility == expect.responsibility
+    ):
         return True
     # A run that another event ended did not drive the rest of the scenario. It still handles a failed check if it
     # continued after the time of the check.
-    is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
+    is_whole = (
+        run.collision is None
+        and run.ads_error is None
+        and run.outcome not in ("invalid", "off_road")
+    )
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     # A collision that is not a failure must be more than 2 s after the situation, and longer after it than the failure.
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
-        is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
+        is_whole = is_whole or (
+            after is not None and after > max(expect.time - expect.situation.time, BEFORE)
+        )
     return is_whole and not unhandled(finding, run)
 
 
@@ -538,8 +606,18 @@ def unhandled(finding: Finding, run: Run) -> str:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
     # If the file is about a collision, a collision with the same NPC is not handled.
     why = missed(expect.situation, run)
-    is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
-    if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:
+    is_about_it = (
+        expect.outcome is Outcome.COLLISION
+        and expect.check is None
+        and not finding.signature.is_property
+    )
+    if (
+        why
+        or expect.situation is None
+        or not is_about_it
+        or hit is None
+        or hit.npc != expect.situation.npc
+    ):
         return why
     return f"the ego and NPC {hit.npc} still collide at {hit.time:.1f} s, but the test accepts this"
 
@@ -555,7 +633,9 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
     is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if expect.check is None:
         # A collision that is a `failure` can be at another time: it is the same if NPC and side are the same.
-        is_then = (is_then and now.cell == expect.cell) or (failure is not None and run.collision is not None)
+        is_then = (is_then and now.cell == expect.cell) or (
+            failure is not None and run.collision is not None
+        )
         return is_then and (run.outcome, now.npc, side) == (expect.outcome, expect.npc, expect.side)
     check = None if failure is None else failure.check
     return check is not None and check.name == expect.assertion and (is_then or check.time is None)
@@ -587,7 +667,9 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
 
 def is_faster(severity: Severity | None, known: float) -> bool:
     """Return whether a collision's closing speed is above the limit for an accepted collision."""
-    return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
+    return (
+        speed_of(severity) or 0.0
+    ) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
 
 
 def speed_of(severity: Severity | None) -> float | None:
@@ -602,7 +684,11 @@ def has_time(run: Run, failure: Failure) -> bool:
     # A check without a time, or an assertion on a measure, may be about the complete run, such as the distance driven.
     # It cannot be evaluated in a run that continues.
     check = failure.check
-    return not signature_of_failure(run, failure).is_property if check is None else check.time is not None
+    return (
+        not signature_of_failure(run, failure).is_property
+        if check is None
+        else check.time is not None
+    )
 
 
 def ending(run: Run) -> str:
@@ -621,7 +707,11 @@ def disagreement(first: Run, again: Run) -> str:
     if first.collision is not None and again.collision is not None:
         one, other = first.collision, again.collision
         is_same = (one.npc, one.side, one.cell) == (other.npc, other.side, other.cell)
-        return "" if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9 else f"{one!r}, then {other!r}"
+        return (
+            ""
+            if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9
+            else f"{one!r}, then {other!r}"
+        )
     if abs(first.duration - again.duration) > SAME_TIME + 1e-9:
         return f"{first.outcome} after {first.duration:.1f} s, then after {again.duration:.1f} s"
     return first_difference(first.trace, again.trace, SAME_PLACE)

@@ -200,11 +200,16 @@ def shrink(
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
     deletions: tuple[Pass, ...] = (plainer, longer, *passes(), partial(_later, starts=gate.starts))
     with suppress(OutOfBudget):
-        yield from gate.exhausts(_ending)  # first, because a run that does not fail takes as long as its scenario
+        yield from gate.exhausts(
+            _ending
+        )  # first, because a run that does not fail takes as long as its scenario
         yield from gate.exhausts(_alone)
         yield from gate.exhausts(_cars)
     small = partial(
-        _small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed), is_limited=asks_likely
+        _small,
+        found=gate.best,
+        plain=plain or (scenario.ego_lane, scenario.ego_speed),
+        is_limited=asks_likely,
     )
     with suppress(OutOfBudget):
         yield from gate.exhausts(plainer)
@@ -237,7 +242,9 @@ class _Gate:
     tried: dict[Scenario, Scenario | None]
     ahead: int
     spent: int = 0
-    starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)  # of failing scenarios as executed
+    starts: dict[Scenario, tuple[Start, ...]] = field(
+        default_factory=dict
+    )  # of failing scenarios as executed
 
     def simplifies(self, candidate: Scenario | None) -> Asking[bool]:
         # If the candidate fails in the same way and is simpler, it becomes the best.
@@ -259,7 +266,9 @@ class _Gate:
             # The candidates before the one that helped did not help just now, so they are tried again last.
             found, skipped = found or place is not None, place or 0
 
-    def _first(self, candidates: Candidates, skipped: int, *, asks_likely: bool) -> Asking[int | None]:
+    def _first(
+        self, candidates: Candidates, skipped: int, *, asks_likely: bool
+    ) -> Asking[int | None]:
         # Return the index of the first candidate that simplifies, or None. Announce the candidates after it in advance.
         place, read, told = -1, deque[tuple[int, Scenario | None]](), set[Scenario | None]()
         if self.ahead:
@@ -272,7 +281,12 @@ class _Gate:
                 continue
             read.append((place, candidate))
             is_left = self.ahead and self.spent + len(told) < self.rollouts
-            if is_left and candidate is not None and candidate not in told and self._would_run(candidate):
+            if (
+                is_left
+                and candidate is not None
+                and candidate not in told
+                and self._would_run(candidate)
+            ):
                 told.add(candidate)
                 yield Ahead((candidate,), more=True)
             while read and len(told) >= self.ahead:
@@ -290,7 +304,9 @@ class _Gate:
         return is_new and sort_key(candidate) < sort_key(self.best)
 
     def _is_allowed(self, candidate: Scenario) -> bool:
-        return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
+        return all(
+            self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain
+        )
 
     def driven(self, candidate: Scenario) -> Asking[Scenario | None]:
         # The candidate as executed if it fails in the same way, otherwise None.
@@ -304,7 +320,9 @@ class _Gate:
             self.tried[candidate] = None
             if shown is not None:
                 driven, self.starts[driven] = shown
-                self.tried[candidate] = self.tried[driven] = driven  # repair does not change an executed scenario
+                self.tried[candidate] = self.tried[driven] = (
+                    driven  # repair does not change an executed scenario
+                )
         return self.tried[candidate]
 
 
@@ -312,7 +330,9 @@ def _on_grid(scenario: Scenario) -> Candidates:
     # NPCs in lanes move to the grid: first all of them, then only one, with the same moves from the cell of the start.
     # An NPC in lanes starts in a different cell if another NPC is removed, so it often needs the others. On the grid it
     # needs none of them. The cells are right only if all eight exist around the ego.
-    free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
+    free = iter(
+        [cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)]
+    )
     chains = list(scenario.npcs)
     for npc, chain in enumerate(chains):
         if isinstance(chain[0], LaneInstruction):
@@ -345,7 +365,10 @@ def _cars(scenario: Scenario) -> Candidates:
     kinds = scenario.vehicles
     others = [npc for npc, kind in enumerate(kinds) if kind != CAR]
     if others:
-        yield replace(scenario, vehicles=tuple(CAR if npc in others else kind for npc, kind in enumerate(kinds)))
+        yield replace(
+            scenario,
+            vehicles=tuple(CAR if npc in others else kind for npc, kind in enumerate(kinds)),
+        )
     for npc in others:
         yield scenario.with_vehicle(npc, CAR)
 
@@ -353,7 +376,9 @@ def _cars(scenario: Scenario) -> Candidates:
 def _ending(scenario: Scenario) -> Candidates:
     # Remove the end of the scenario, most of it first.
     most = scenario.genes - 1
-    for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
+    for genes in sorted(
+        {1 << power for power in range(most.bit_length())} | {most} - {0}
+    ):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
 
 
@@ -361,7 +386,9 @@ def _shorter(scenario: Scenario) -> Candidates:
     # Remove the end of the scenario, then any other interval, long ones first.
     yield from _ending(scenario)
     for start, end in _slices(scenario.genes, scenario.genes - 1):
-        cut = (chain if chain[0].crosses else chain[:start] + chain[end:] for chain in scenario.npcs)
+        cut = (
+            chain if chain[0].crosses else chain[:start] + chain[end:] for chain in scenario.npcs
+        )
         yield _valid(scenario, tuple(cut))
 
 
@@ -369,7 +396,9 @@ def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Ca
     # The run starts at a later gene, the latest one first, with the ego's lane and speed at the start of that gene.
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
         lasting = [npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene]
-        if not lasting:  # the world sets the duration of runs, so a run can continue after the last gene
+        if (
+            not lasting
+        ):  # the world sets the duration of runs, so a run can continue after the last gene
             continue
         left = scenario.of_npcs(lasting)
         npcs = tuple(chain[gene:] for chain in left.npcs)
@@ -414,7 +443,9 @@ def _merged(scenario: Scenario) -> Candidates:
         for first, last in _slices(len(parts) - 1, len(parts) - 1):
             (start, _), (after, end) = parts[first], parts[last]
             for instruction in (chain[start], chain[after]):
-                yield _with_chain(scenario, npc, chain[:start] + _lasting(instruction, end - start) + chain[end:])
+                yield _with_chain(
+                    scenario, npc, chain[:start] + _lasting(instruction, end - start) + chain[end:]
+                )
 
 
 def _staying(scenario: Scenario) -> Candidates:
@@ -422,7 +453,9 @@ def _staying(scenario: Scenario) -> Candidates:
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in _parts(chain):
             before = chain[gene - 1] if gene else None
-            stays = tuple(stay for each in chain[gene:] if (stay := each.staying(before)) is not None)
+            stays = tuple(
+                stay for each in chain[gene:] if (stay := each.staying(before)) is not None
+            )
             if not stays:
                 continue
             yield _with_chain(scenario, npc, chain[:gene] + stays)
@@ -470,7 +503,16 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
         yield replace(scenario, traffic=PAPERS)
 
 
-STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, _staying, _shorter_chains, _passing)
+STRUCTURE: tuple[Pass, ...] = (
+    _on_grid,
+    _fewer_npcs,
+    _cars,
+    _shorter,
+    _merged,
+    _staying,
+    _shorter_chains,
+    _passing,
+)
 
 
 def passes() -> tuple[Pass, ...]:
@@ -515,15 +557,27 @@ def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
     # The order is mixed, so that the start of the list, however short, has scenarios of each kind. If the most
     # promising ones came first, a limited number of runs would find less.
     ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
-    twos = [(first, *_lasting(second, length - 1)) for first, second in permutations(genes, 2) if length > 1]
-    small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
+    twos = [
+        (first, *_lasting(second, length - 1))
+        for first, second in permutations(genes, 2)
+        if length > 1
+    ]
+    small: list[Sized] = [
+        *(((1, 1), (chain,)) for chain in ones),
+        *(((1, 2), (chain,)) for chain in twos),
+    ]
     small += (((2, 2), pair) for pair in combinations(ones, 2))
-    return [each for _, each in sorted(enumerate(small), key=lambda numbered: numbered[0] * GOLDEN % 2**64)]
+    return [
+        each
+        for _, each in sorted(enumerate(small), key=lambda numbered: numbered[0] * GOLDEN % 2**64)
+    ]
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
     # Two simplifications together, if neither works alone, starting with the smallest ones.
-    firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
+    firsts = dict.fromkeys(
+        each for simplified in STRUCTURE for each in simplified(scenario) if each is not None
+    )
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
             yield from simplified(first)
@@ -545,7 +599,10 @@ def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
 
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
     # Equal instructions in a row are one part, and each lane change is one.
-    starts = [0, *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene]))]
+    starts = [
+        0,
+        *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene])),
+    ]
     return list(pairwise([*starts, len(chain)]))
 
 
@@ -567,11 +624,15 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 
 
 def _valid(
-    scenario: Scenario, npcs: tuple[Chromosome, ...], vehicles: tuple[VehicleType, ...] | None = None
+    scenario: Scenario,
+    npcs: tuple[Chromosome, ...],
+    vehicles: tuple[VehicleType, ...] | None = None,
 ) -> Scenario | None:
     # None if the chains or vehicles break a rule.
     try:
-        return replace(scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles)
+        return replace(
+            scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles
+        )
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
         return None
 

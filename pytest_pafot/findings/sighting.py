@@ -44,23 +44,37 @@ class Observed:
     is_error: bool = False  # the file could not be read, or its scenario could not be run
     fails: bool = False  # a run fails, or its process dies
     is_same: bool = False  # it fails as the file states
-    is_later: bool = False  # only the second run failed, which continues after the end of the saved run
-    is_unsteady: bool = False  # the runs differ for a reason other than the chance that a rate measures
+    is_later: bool = (
+        False  # only the second run failed, which continues after the end of the saved run
+    )
+    is_unsteady: bool = (
+        False  # the runs differ for a reason other than the chance that a rate measures
+    )
     is_handled: bool = False  # a run passes, and the situation of the file occurred in it
     # It was run with other package versions, or in a world or with a perception that differs from the test's.
     is_elsewhere: bool = False
-    is_rare: bool = False  # the failure occurs by chance, and so rarely that ten passing runs do not show a fix
+    is_rare: bool = (
+        False  # the failure occurs by chance, and so rarely that ten passing runs do not show a fix
+    )
     is_accepted: bool = False  # the file accepts its failure today
     beyond: str = ""  # how the failure differs from the one that the file accepts, or empty
-    reference_passes: bool | None = None  # whether the reference passes the same scenario; None without a reference
+    reference_passes: bool | None = (
+        None  # whether the reference passes the same scenario; None without a reference
+    )
     against: str = ""  # the reference that a replay is compared with, or empty
-    severity: Severity | None = None  # None if it passes, if nothing measures it, or if there is no run
+    severity: Severity | None = (
+        None  # None if it passes, if nothing measures it, or if there is no run
+    )
     before: Severity | None = None  # for a replay, the severity with the reference, or None
-    sentences: tuple[str, ...] = ()  # the sentences on a collision; empty until an item reports the finding
+    sentences: tuple[
+        str, ...
+    ] = ()  # the sentences on a collision; empty until an item reports the finding
     # If the replay passes, number of runs of a complete search of this session that found no such failure; otherwise 0.
     searched: int = 0
     drawn: int = 0  # number of random scenarios among `searched`
-    elsewhere: str = ""  # id of a finding of this session's search that fails as the file states, or empty
+    elsewhere: str = (
+        ""  # id of a finding of this session's search that fails as the file states, or empty
+    )
     rate: FailureRate | None = None  # how often it fails now; None unless the file has a rate
     note: str = ""  # a note on the time after the end of the saved run, or on the rate
     # A process died or hung in that time. The crash record must stay, because without it the next session would run the
@@ -81,7 +95,9 @@ class Observed:
             ValueError: if no run finished in this process.
         """
         if self.run is None or self.verdict is None:
-            raise ValueError(f"run: expected a run that finished in this process, received {self!r:.100}")
+            raise ValueError(
+                f"run: expected a run that finished in this process, received {self!r:.100}"
+            )
         return self.run, self.verdict
 
 
@@ -98,7 +114,9 @@ def label(observed: Observed) -> Label | New:
     if observed.fails:
         return "still failing" if observed.is_same else "drifted"
     # If the reference fails, both policies drove the same scenario under the same conditions.
-    is_other = (observed.is_elsewhere or observed.is_rare) and observed.reference_passes is not False
+    is_other = (
+        observed.is_elsewhere or observed.is_rare
+    ) and observed.reference_passes is not False
     if is_other or not observed.is_handled:
         return "drifted"
     if observed.elsewhere:
@@ -107,7 +125,10 @@ def label(observed: Observed) -> Label | New:
 
 
 # The first words of the difference if a policy drives the same scenario in different ways.
-NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
+NOT_REPEATED, ENDED_OTHERWISE = (
+    "running it again gave a different run",
+    "a later run of it ended differently",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +142,13 @@ class Alike:
 
     def __add__(self, other: Alike) -> Alike:
         # The other runs come after these.
-        is_worse = other.severity is not None and (self.severity is None or self.severity < other.severity)
-        worst, least = other if is_worse else self, min(filter(None, [self.least, other.least]), default=None)
+        is_worse = other.severity is not None and (
+            self.severity is None or self.severity < other.severity
+        )
+        worst, least = (
+            other if is_worse else self,
+            min(filter(None, [self.least, other.least]), default=None),
+        )
         return replace(worst, runs=self.runs + other.runs, least=least)
 
 
@@ -136,7 +162,9 @@ class Seen:
     finding: Finding  # the content of the file
     node_id: str  # node id of the item that replays it in this session or, for a new finding, in the next one
     test: str = ""  # for a replay, the node id of its test in this session
-    observed: Observed = field(default_factory=Observed)  # the facts of its runs, which determine the label
+    observed: Observed = field(
+        default_factory=Observed
+    )  # the facts of its runs, which determine the label
     headline: str = ""  # how the run failed; empty if it passes
     path: str = ""  # path of the file; empty if a new finding has none
     # Why a new finding does not count, or why its file is missing or incomplete; for a replay, how it differs from the
@@ -145,7 +173,9 @@ class Seen:
     unshrunk: str = ""  # why a new finding is not yet fully shrunk, or empty
     # The last decision that could have avoided the failure; None if it is unknown or was not examined.
     moment: Moment | None = None
-    alike: Alike = field(default_factory=Alike)  # the runs of the search with the same failure as a new finding
+    alike: Alike = field(
+        default_factory=Alike
+    )  # the runs of the search with the same failure as a new finding
 
     @property
     def id(self) -> str:
@@ -159,7 +189,9 @@ class Seen:
     def raised(self) -> BaseException:
         """The exception of a new finding, in the process that found it."""
         if self.observed.verdict is None or self.observed.verdict.exception is None:
-            raise ValueError(f"seen: expected a new finding in the process of its search, received {self.id!r}")
+            raise ValueError(
+                f"seen: expected a new finding in the process of its search, received {self.id!r}"
+            )
         return self.observed.verdict.exception
 
     @property
@@ -169,7 +201,11 @@ class Seen:
     @property
     def rank(self) -> tuple[float | str, ...]:
         """The sort key of findings: the worst come first, then those with the most runs."""
-        return *Severity.worst_first(self.responsible, self.severity), -self.alike.runs, self.node_id
+        return (
+            *Severity.worst_first(self.responsible, self.severity),
+            -self.alike.runs,
+            self.node_id,
+        )
 
     @property
     def responsible(self) -> str:
@@ -201,7 +237,9 @@ class Seen:
         # If a finding is flaky for any other reason, equal seeds give equal runs here, so no rate can be measured.
         is_other = (self.finding.flaky or "").startswith((NOT_REPEATED, ENDED_OTHERWISE))
         has_drawn = is_other or (self.observed.has_drawn and not self.is_flaky)
-        return (self.finding.rate is not None or has_drawn) and not (self.is_timed or self.finding.expect.is_crash)
+        return (self.finding.rate is not None or has_drawn) and not (
+            self.is_timed or self.finding.expect.is_crash
+        )
 
     @property
     def label(self) -> Label | New:
@@ -212,8 +250,18 @@ class Seen:
     def result(self) -> str:
         """The label for summaries, which report only facts: ``passed (not found again)`` instead of ``fixed``."""
         is_elsewhere = self.label == "still failing" and not self.observed.fails
-        words = "found in another scenario" if is_elsewhere else "not found again" * (self.label == "fixed")
-        return f"passed ({words})" if words else "passed" if self.label == "passes" else str(self.label)
+        words = (
+            "found in another scenario"
+            if is_elsewhere
+            else "not found again" * (self.label == "fixed")
+        )
+        return (
+            f"passed ({words})"
+            if words
+            else "passed"
+            if self.label == "passes"
+            else str(self.label)
+        )
 
     @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
@@ -228,13 +276,23 @@ class Seen:
     @property
     def on_search(self) -> str:
         """The result of this session's search for a failure that its replay did not show, or an empty string."""
-        searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
+        searched, drawn, elsewhere = (
+            self.observed.searched,
+            self.observed.drawn,
+            self.observed.elsewhere,
+        )
         if elsewhere or not searched:
             return elsewhere and f"{elsewhere} fails in the same way"
         if not drawn:
             return f"the failure did not occur in {plural(searched, 'run')}"
-        others = f"; it also did not occur in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
-        return f"the failure did not occur in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
+        others = (
+            f"; it also did not occur in {plural(searched - drawn, 'other run')}"
+            if drawn < searched
+            else ""
+        )
+        return (
+            f"the failure did not occur in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
+        )
 
     @property
     def worst(self) -> str:

@@ -23,7 +23,9 @@ from pytest_pafot.oracle.run import Run
 # The tolerances were chosen by replaying failures of policies with seeded defects, both with the repaired policies and
 # with policies that avoid the situation; docs/explanation/findings.md explains the tolerances.
 
-BEFORE = 2.0  # the situation of a failure without a collision is taken this time before the failure [s]
+BEFORE = (
+    2.0  # the situation of a failure without a collision is taken this time before the failure [s]
+)
 # All runs start in the same way, so in these first seconds [s], a situation counts only if the saved one was there.
 START = 4.0
 # An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane.
@@ -78,8 +80,12 @@ class Situation:
     npc: int  # index of the NPC in the scenario
     time: float  # time of the moment [s]
     gap: float  # gap between the bumpers along the road [m]; minus the overlap if they are side by side
-    place: Literal["ahead", "behind"]  # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
-    lanes_to_right: int  # number of lanes from the ego's lane to the NPC's lane; negative to the left
+    place: Literal[
+        "ahead", "behind"
+    ]  # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
+    lanes_to_right: (
+        int  # number of lanes from the ego's lane to the NPC's lane; negative to the left
+    )
     ego_speed: float  # along the road [m/s]
     # Along the road [m/s]. For a leader, ahead in the ego's lane, it is the lowest speed from the moment to the
     # failure.
@@ -91,11 +97,18 @@ class Situation:
         # changing lanes then, or braking for nothing, it is the last moment before the ego started to. Otherwise, if
         # the NPC entered the ego's lane only later, it is the moment at which the NPC was in the lane.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
-        frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
+        frame, hz, end = (
+            frame_of(trace),
+            trace.physics_hz,
+            min(round(time * trace.physics_hz), trace.ticks),
+        )
         tick = end if mistake is None else mistake
         lanes = _lanes_between(trace, frame, npc)
         # An ego that brakes for nothing has chosen its speed, so its speed before the braking counts.
-        is_needless = mistake is not None and run.attribution.fault in ("braked-for-nothing", "stopped-for-nothing")
+        is_needless = mistake is not None and run.attribution.fault in (
+            "braked-for-nothing",
+            "stopped-for-nothing",
+        )
         is_steady = braking(trace) < BRAKES if is_needless else np.abs(frame.drift[0]) < DRIFTING
         steady = np.flatnonzero(is_steady[: tick + 1])
         if steady.size and (is_needless or steady[-1] < tick):
@@ -104,12 +117,24 @@ class Situation:
             tick = max(tick - round(BEFORE * hz), 0) if mistake is None else tick
             inside = np.flatnonzero(np.abs(lanes[tick : end + 1]) <= HALF_LANE)
             tick += int(inside[0]) if inside.size else 0
-        speeds, is_leader = frame.speed[npc + 1], round(lanes[tick]) == 0 and frame.ahead[npc, tick] > 0
+        speeds, is_leader = (
+            frame.speed[npc + 1],
+            round(lanes[tick]) == 0 and frame.ahead[npc, tick] > 0,
+        )
         speed = speeds[tick : end + 1].min() if is_leader else speeds[tick]
         return cls._at(tick, trace, frame, npc, ego_speed=frame.speed[0, tick], npc_speed=speed)
 
     @classmethod
-    def _at(cls, tick: int, trace: Trace, frame: RoadFrame, npc: int, *, ego_speed: float, npc_speed: float) -> Self:
+    def _at(
+        cls,
+        tick: int,
+        trace: Trace,
+        frame: RoadFrame,
+        npc: int,
+        *,
+        ego_speed: float,
+        npc_speed: float,
+    ) -> Self:
         ahead = float(frame.ahead[npc, tick])
         return cls(
             npc=npc,
@@ -124,9 +149,16 @@ class Situation:
     def distances(self, trace: Trace) -> FloatArray:
         # The distances of a run from the situation at each tick: along the road, in lanes and in speeds, in units of
         # the tolerance, shape [3, ticks + 1]. The situation occurs at a tick if all three are at most 1.
-        frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
+        frame, npc, start = (
+            frame_of(trace),
+            self.npc,
+            round(min(self.time, START) * trace.physics_hz),
+        )
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
-        slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)  # between the centres
+        slower, apart = (
+            self.ego_speed - self.npc_speed,
+            self.gap + frame.half_lengths(npc),
+        )  # between the centres
         if self.lanes_to_right == 0 and self.place == "ahead":
             ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
             along = np.where(ahead > 0, ahead / np.maximum(REACH, REACH_FACTOR * apart), np.inf)
@@ -136,7 +168,9 @@ class Situation:
             then = apart if self.place == "ahead" else -apart
             along = np.abs(ahead - then) / np.maximum(PLACE, PLACE_SHARE * apart)
             # An NPC whose own speed matches, such as one that overtakes, may be next to an ego of a different speed.
-            own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
+            own = np.maximum(
+                np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED
+            )
             speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
             along = np.where(np.arange(len(along)) < start, np.inf, along)
         aside = np.abs(_lanes_between(trace, frame, npc) - self.lanes_to_right) / HALF_LANE
@@ -151,8 +185,14 @@ class Situation:
     def __str__(self) -> str:
         place = f"{self.gap:.1f} m {self.place}" if self.gap > 0 else "side by side with the ego"
         lanes, side = abs(self.lanes_to_right), "left" if self.lanes_to_right < 0 else "right"
-        lane = f"{'one lane' if lanes == 1 else f'{lanes} lanes'} to the {side}" if lanes else "in the ego's lane"
-        return f"{place} {lane} at {self.npc_speed:.1f} m/s, with the ego at {self.ego_speed:.1f} m/s"
+        lane = (
+            f"{'one lane' if lanes == 1 else f'{lanes} lanes'} to the {side}"
+            if lanes
+            else "in the ego's lane"
+        )
+        return (
+            f"{place} {lane} at {self.npc_speed:.1f} m/s, with the ego at {self.ego_speed:.1f} m/s"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,10 +235,18 @@ class ZoneSituation:
     def distances(self, trace: Trace) -> FloatArray:
         # As for `Situation.distances`, but in the two times and the NPC's speed.
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
-        ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
+        ego_enters = np.where(
+            np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz,
+            np.inf,
+            ego_enters,
+        )
         pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
-        ego, npc = (np.abs(now - then) / max(ARRIVAL, ARRIVAL_SHARE * abs(then)) for now, then in pairs)
-        return np.stack((ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED))
+        ego, npc = (
+            np.abs(now - then) / max(ARRIVAL, ARRIVAL_SHARE * abs(then)) for now, then in pairs
+        )
+        return np.stack(
+            (ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED)
+        )
 
     def nearest_in(self, trace: Trace) -> Self:
         return self._at(int((self.distances(trace) ** 2).sum(axis=0).argmin()), trace, self.npc)
@@ -217,7 +265,10 @@ def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
     other = zone.npc[0] - on_way[:, npc], trace.states[:, npc + 1, SPEEDS]
-    one, two = (left / np.maximum(_highest(speed, trace, APPROACH), LEAST_SPEED) for left, speed in (ego, other))
+    one, two = (
+        left / np.maximum(_highest(speed, trace, APPROACH), LEAST_SPEED)
+        for left, speed in (ego, other)
+    )
     return one, two
 
 
@@ -237,7 +288,11 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
     """Return a sentence about a situation that did not occur in a run, or an empty string if it did."""
-    if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
+    if (
+        situation is None
+        or not _can_be_compared(situation, run.trace)
+        or seconds_after(situation, run) is not None
+    ):
         return ""
     now = situation.nearest_in(run.trace)
     return (
@@ -255,4 +310,6 @@ def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:
     # In widths of the ego's lane.
     widths = np.array([lane.width for lane in trace.lanes])
-    return np.asarray(frame.right[npc] / widths[np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)])
+    return np.asarray(
+        frame.right[npc] / widths[np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)]
+    )

@@ -25,7 +25,9 @@ MAX_SLUG = 32
 NUMBER = "N"
 
 _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
-_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
+_NUMBER = re.compile(
+    r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b"
+)
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
 # The name of a failure in which the process died. It replaces the name of an exception.
@@ -49,7 +51,9 @@ ZONES = tuple(
     for origin in get_args(Origin)
 )
 
-_NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
+_NO_SUBJECT = frozenset(
+    {"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()}
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +63,12 @@ class Failure:
     kind: str  # name of the exception class
     message: str = ""  # message of the exception
     assertion: str = ""  # source text of the failing assertion; empty if it is unknown
-    traceback: str = ""  # traceback to save in the file, for example of an ADS that raised, or empty
-    check: Check | None = None  # the failed check, with its name also in `assertion`; None if something else failed
+    traceback: str = (
+        ""  # traceback to save in the file, for example of an ADS that raised, or empty
+    )
+    check: Check | None = (
+        None  # the failed check, with its name also in `assertion`; None if something else failed
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,11 +85,17 @@ class Signature:
     assertion: str  # the normalised assertion, without file, line, numbers and addresses
     outcome: Outcome  # how the run ended; `safe` for a property
     responsibility: Responsibility  # `ego` if the ego is responsible, alone or with the NPC; otherwise `npc` or `none`
-    mistake: Mistake | None = None  # what the ego did wrong; None if it is not responsible for a collision
+    mistake: Mistake | None = (
+        None  # what the ego did wrong; None if it is not responsible for a collision
+    )
     # The rule by which the ego is responsible, only for the slug.
     fault: Fault | None = field(default=None, compare=False, repr=False)
-    side: Side | None = None  # side of the ego that was hit; None without a collision, or if there is a fault
-    cell: Cell | None = None  # cell of the NPC at the collision; None without a collision, or if there is a fault
+    side: Side | None = (
+        None  # side of the ego that was hit; None without a collision, or if there is a fault
+    )
+    cell: Cell | None = (
+        None  # cell of the NPC at the collision; None without a collision, or if there is a fault
+    )
     # Zone in which the NPC crossed; None if it did not, or for a fault that is not about a zone.
     zone: str | None = None
     # The NPC's manoeuvre shortly before the collision; None without a collision, or if there is a fault.
@@ -96,17 +110,26 @@ class Signature:
         # Keep only the facts that distinguish failures.
         told = cls(**facts)
         ended = cls(
-            failure=told.failure, assertion=told.assertion, outcome=told.outcome, responsibility=told.responsibility
+            failure=told.failure,
+            assertion=told.assertion,
+            outcome=told.outcome,
+            responsibility=told.responsibility,
         )
         if told.is_property:  # it is the same, however the run continued
             return replace(ended, outcome=Outcome.COMPLETED, responsibility="none")
         if told.fault is not None:
             # At a zone, the mistake of an ego that did not give way depends on the origin of the NPC.
-            given = None if told.zone is None else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
+            given = (
+                None
+                if told.zone is None
+                else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
+            )
             known = given if told.fault == "did-not-give-way" else BY_FAULT.get(told.fault)
             at_zone = told.zone if told.fault in AT_ZONES else None
             mistake = told.mistake or known
-            return replace(ended, responsibility="ego", mistake=mistake, fault=told.fault, zone=at_zone)
+            return replace(
+                ended, responsibility="ego", mistake=mistake, fault=told.fault, zone=at_zone
+            )
         return told if told.outcome is Outcome.COLLISION else replace(told, cell=None, zone=None)
 
     @property
@@ -124,7 +147,10 @@ class Signature:
     def told(self) -> dict[str, str]:
         """The fields that identify the failure, as strings, without those that are None."""
         compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
-        words = {name: value.label if isinstance(value, Cell) else value for name, value in compared.items()}
+        words = {
+            name: value.label if isinstance(value, Cell) else value
+            for name, value in compared.items()
+        }
         return {name: str(value) for name, value in words.items() if value is not None}
 
     @property
@@ -166,18 +192,26 @@ def normalised(assertion: str, message: str = "") -> str:
     # Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
     # with `N` for each number. Any other string is reduced to its first line, or to the first line of `message`, with
     # `N` for numbers, `ADDRESS` for addresses and `PATH` for files. The result has at most 200 characters.
-    return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
+    return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[
+        :MAX_ASSERTION
+    ].rstrip()
 
 
 class _Numberless(ast.NodeTransformer):
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        is_number = isinstance(node.value, (int, float, complex)) and not isinstance(node.value, bool)
+        is_number = isinstance(node.value, (int, float, complex)) and not isinstance(
+            node.value, bool
+        )
         return ast.Name(id=NUMBER) if is_number else node
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
         inner = self.visit(node.operand)
         signs_a_number = isinstance(node.op, (ast.USub, ast.UAdd)) and isinstance(inner, ast.Name)
-        return inner if signs_a_number and inner.id == NUMBER else ast.UnaryOp(op=node.op, operand=inner)
+        return (
+            inner
+            if signs_a_number and inner.id == NUMBER
+            else ast.UnaryOp(op=node.op, operand=inner)
+        )
 
 
 @lru_cache(maxsize=64)
@@ -187,12 +221,20 @@ def _named(assertion: str) -> tuple[set[str], set[str]]:
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        cut = set(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion)) if len(assertion) > MAX_ASSERTION - 9 else set()
+        cut = (
+            set(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion))
+            if len(assertion) > MAX_ASSERTION - 9
+            else set()
+        )
         return cut, cut  # the text was cut short, so it does not parse
     calls = (node for node in nodes if isinstance(node, ast.Call))
-    helpers = [call.func for call in calls if any(isinstance(argument, ast.Name) for argument in call.args)]
+    helpers = [
+        call.func for call in calls if any(isinstance(argument, ast.Name) for argument in call.args)
+    ]
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
-    measures = {each.attr for each in attributes if isinstance(each.value, ast.Name) and each not in helpers}
+    measures = {
+        each.attr for each in attributes if isinstance(each.value, ast.Name) and each not in helpers
+    }
     return {each.attr for each in attributes}, measures
 
 
@@ -211,7 +253,9 @@ def _from_source(assertion: str) -> str:
 def _from_message(message: str) -> str:
     line = next((line for line in message.splitlines() if line.strip()), "")
     line = _NUMBER.sub(NUMBER, _PATH.sub("PATH", _ADDRESS.sub("ADDRESS", line)))
-    return " ".join("".join(character if character.isprintable() else " " for character in line).split())
+    return " ".join(
+        "".join(character if character.isprintable() else " " for character in line).split()
+    )
 
 
 def _kebab(text: str) -> str:
@@ -249,7 +293,11 @@ class Severity:
 
     def __str__(self) -> str:
         figure = f"{self.figure} {self.unit}".rstrip()
-        return f"hits at {figure}" if self.kind == "collision" else f"violates the bound of {self.name} by {figure}"
+        return (
+            f"hits at {figure}"
+            if self.kind == "collision"
+            else f"violates the bound of {self.name} by {figure}"
+        )
 
     def is_fault(self, responsible: str) -> bool:
         """Return whether the failure is a collision for which the ego is responsible."""
@@ -286,8 +334,12 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
     if failure.check is not None:
         return _of_check(failure.check)
     text = normalised(failure.assertion, failure.message)
-    signature = Signature(failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none")
-    return _of_collision(signature, None if run.collision is None else round(run.collision.closing_speed, 6))
+    signature = Signature(
+        failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none"
+    )
+    return _of_collision(
+        signature, None if run.collision is None else round(run.collision.closing_speed, 6)
+    )
 
 
 def _of_collision(signature: Signature, closing_speed: float | None) -> Severity | None:
@@ -302,7 +354,10 @@ def _of_check(check: Check) -> Severity:
     by = max(over, under)
     if not math.isfinite(by + check.margin):
         return Severity(kind="check", value=None, unit=check.unit, name=check.name)
-    value, margin = float(f"{by:.6g}"), float(f"{check.margin:.6g}")  # rounded, so that it is equal in every process
+    value, margin = (
+        float(f"{by:.6g}"),
+        float(f"{check.margin:.6g}"),
+    )  # rounded, so that it is equal in every process
     return Severity(kind="check", value=value, unit=check.unit, margin=margin, name=check.name)
 
 
@@ -315,7 +370,11 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
     if before is None or now.kind != before.kind:
         return f"{now}, with no collision before" if now.kind == "collision" else ""
     is_same = (now.name, now.unit) == (before.name, before.unit)
-    if not is_same or now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind] or now.figure == before.figure:
+    if (
+        not is_same
+        or now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind]
+        or now.figure == before.figure
+    ):
         return ""
     return f"{now} instead of {before.figure}"
 
@@ -331,11 +390,17 @@ class Verdict:
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
-    checks: tuple[Check, ...] = ()  # the checks that the function made, in order, up to one that failed
+    checks: tuple[
+        Check, ...
+    ] = ()  # the checks that the function made, in order, up to one that failed
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, regardless of what the function asserts
-    severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
-    reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
+    severity: Severity | None = (
+        None  # severity of the failure; None if there is none, or if nothing measures it
+    )
+    reference: Verdict | None = (
+        None  # verdict on the reference in the same scenario; None if it was not run
+    )
 
     @property
     def failed(self) -> bool:
@@ -371,5 +436,7 @@ class Verdict:
     def beside(self, reference: Verdict) -> Self:
         """Return this verdict, adjusted for the verdict on a run of the reference."""
         # A failure counts only if the reference passes. If the run of the reference is invalid, that is unknown.
-        without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
+        without: Literal["invalid", "common"] = (
+            "invalid" if reference.kind == "invalid" else "common"
+        )
         return replace(self, kind="failed" if reference.passes else without, reference=reference)

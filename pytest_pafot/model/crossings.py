@@ -24,7 +24,9 @@ Stretch = tuple[float, float]
 Kind = Literal["crossing", "oncoming", "merging"]
 # The direction from which a vehicle comes, as seen by the ego when it approaches the zone.
 Origin = Literal["left", "right", "ahead", "behind"]
-Holder = Literal["ego", "npc", "none"]  # the vehicle that has priority in a zone: the ego, the NPC or neither
+Holder = Literal[
+    "ego", "npc", "none"
+]  # the vehicle that has priority in a zone: the ego, the NPC or neither
 
 EGOS = ""  # the name of the ego's path; the names of other paths contain ``>``
 NOT_ON_WAY = 0.5  # the angle to the ego's path above which a vehicle is not on it [rad]
@@ -146,7 +148,11 @@ class Way:
     def place_at(self, time: float, speed: float) -> float:
         # Before the entry, the NPC drives at the speed itself.
         times = self.times(speed)
-        return time * speed if time < 0 else float(np.interp(time, times, np.arange(len(times)) * STEP))
+        return (
+            time * speed
+            if time < 0
+            else float(np.interp(time, times, np.arange(len(times)) * STEP))
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,7 +169,9 @@ class Crossings:
     @cached_property
     def zones(self) -> tuple[Zone, ...]:
         # In the order in which the ego reaches them.
-        return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
+        return tuple(
+            sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way))
+        )
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
         # The time [s] at which an NPC should enter its zone if the ego is there from ego[0] to ego[1].
@@ -172,14 +180,20 @@ class Crossings:
         crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
         if instruction.slot > 0:
             return ego[1] + instruction.slot
-        return ego[0] + instruction.slot - crossing if instruction.slot < 0 else (sum(ego) - crossing) / 2
+        return (
+            ego[0] + instruction.slot - crossing
+            if instruction.slot < 0
+            else (sum(ego) - crossing) / 2
+        )
 
     def planned_entry(self, instruction: CrossingInstruction) -> float:
         # The time [s] at which an NPC should enter its zone if the ego keeps its initial speed.
         # A negative time is before the start of the run, so the NPC cannot keep its slot.
         first, last = self.ways[instruction.zone].zone.ego
         speed = max(self.ego_speed, 0.1)
-        return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
+        return self.entry(
+            instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed)
+        )
 
     def start(self, instruction: CrossingInstruction) -> float:
         # The position [m] at which an NPC must start to keep its slot. An NPC with the act "hold" reaches its line when
@@ -206,8 +220,15 @@ class Crossings:
         if way is None:
             return False
         # The start must be on the path and before the zone. An NPC that waits at the line needs room to stop there.
-        room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if instruction.act in WAITING else 0.0
-        return self.start(instruction) >= 0 and self._start_of_passing(instruction) < way.zone.npc[0] - room
+        room = (
+            BEFORE_LINE + instruction.speed**2 / (2 * STOPPING)
+            if instruction.act in WAITING
+            else 0.0
+        )
+        return (
+            self.start(instruction) >= 0
+            and self._start_of_passing(instruction) < way.zone.npc[0] - room
+        )
 
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
         # The times [s] between which an NPC is planned to be in the stretch of its path.
@@ -218,7 +239,9 @@ class Crossings:
         first, last = (
             way.time_at(place, instruction.speed) - way.time_at(start, instruction.speed)
             if waits and place <= line
-            else entry + way.time_at(place, instruction.speed) - way.time_at(way.zone.npc[0], instruction.speed)
+            else entry
+            + way.time_at(place, instruction.speed)
+            - way.time_at(way.zone.npc[0], instruction.speed)
             for place in stretch
         )
         if instruction.act == "pass" or stretch[1] <= line:
@@ -239,22 +262,35 @@ class Crossings:
         if first.zone.split(">")[0] == second.zone.split(">")[0]:
             lanes = [((0.0, meetings[0][0][0]), 0.0)]
         else:
-            found = (self._common_lane(first.zone, second.zone, *stretches) for stretches in meetings)
+            found = (
+                self._common_lane(first.zone, second.zone, *stretches) for stretches in meetings
+            )
             lanes = [lane for lane in found if lane is not None]
         if any(self._crowd(first, second, *lane) for lane in lanes):
             return True
-        windows = ((self.windows(first, one), self.windows(second, other)) for one, other in meetings)
+        windows = (
+            (self.windows(first, one), self.windows(second, other)) for one, other in meetings
+        )
         return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
-    def _common_lane(self, first: str, second: str, mine: Stretch, theirs: Stretch) -> tuple[Stretch, float] | None:
+    def _common_lane(
+        self, first: str, second: str, mine: Stretch, theirs: Stretch
+    ) -> tuple[Stretch, float] | None:
         # The stretch of the first path on which both paths share a lane up to their zones, and an offset [m], or None.
         # `mine` and `theirs` are the stretches on which the two paths meet. The offset is the position of a point along
         # the second path minus its position along the first path.
-        zones, farther = (self.ways[first].zone.npc, self.ways[second].zone.npc), theirs[1] - mine[1]
-        is_one = all(abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True))
+        zones, farther = (
+            (self.ways[first].zone.npc, self.ways[second].zone.npc),
+            theirs[1] - mine[1],
+        )
+        is_one = all(
+            abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True)
+        )
         return ((mine[1], zones[0][0]), farther) if is_one and mine[1] <= zones[0][0] else None
 
-    def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float) -> bool:
+    def _crowd(
+        self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float
+    ) -> bool:
         # Two NPCs in a shared lane must not start too close together, and neither may overtake the other.
         # `farther` is the offset from `_common_lane`. Only the two ends of the lane are checked: the slower NPC takes
         # longer for each part of the lane, so the gap in time is smallest at one of the ends.
@@ -265,7 +301,10 @@ class Crossings:
         order = set()
         for place in (since, max(since, lane[1])):
             places = place, place + farther
-            (a, _), (b, _) = (self.windows(each, (at, at)) for each, at in zip((first, second), places, strict=True))
+            (a, _), (b, _) = (
+                self.windows(each, (at, at))
+                for each, at in zip((first, second), places, strict=True)
+            )
             behind, at = (first, places[0]) if a > b else (second, places[1])
             speed = min(behind.speed, self.ways[behind.zone].speed_at(at))
             if abs(a - b) < APART + LENGTH / max(speed, 0.1):

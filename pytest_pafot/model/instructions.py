@@ -89,7 +89,9 @@ def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> floa
     return cell.row * (ego_length + clearance)
 
 
-def cell_at(longitudinal: float, lateral: float, ego_length: float, lane_width: float) -> Cell | None:
+def cell_at(
+    longitudinal: float, lateral: float, ego_length: float, lane_width: float
+) -> Cell | None:
     """Return the cell that contains a point, or None for the ego's own cell."""
     # The outer rows and columns have no outer limits: a vehicle 80 m ahead in the ego's lane is in cell 2.
     return _CELLS.get((_third(longitudinal, ego_length / 2), _third(lateral, lane_width / 2)))
@@ -102,7 +104,9 @@ def _third(value: float, half: float) -> int:
 def toss(seed: int, npc: int, gene: int) -> bool:
     """Toss a fair coin that depends only on the arguments (splitmix64)."""
     mask = 0xFFFFFFFFFFFFFFFF
-    z = (seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB) & mask
+    z = (
+        seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB
+    ) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
     return bool((z ^ (z >> 31)) & 1)
@@ -133,7 +137,9 @@ def repair_gene(
     if are_free and (previous is None or _STEPS.issuperset(zip(previous, requested, strict=True))):
         return tuple(requested)
     if previous is None:
-        preferences = [_first_cells(cell, existing, coin) for cell, coin in zip(requested, coins, strict=True)]
+        preferences = [
+            _first_cells(cell, existing, coin) for cell, coin in zip(requested, coins, strict=True)
+        ]
     else:
         next_cells = _next_existing_cells if skipping else _next_cells
         preferences = [
@@ -177,12 +183,18 @@ def are_valid(chains: Sequence[Sequence[Cell]]) -> bool:
 
 def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
     step = 1 if clockwise_first else -1
-    by_distance = [Cell((requested - 1 + step * sign * k) % 8 + 1) for k in range(5) for sign in (1, -1)]
+    by_distance = [
+        Cell((requested - 1 + step * sign * k) % 8 + 1) for k in range(5) for sign in (1, -1)
+    ]
     return [cell for cell in dict.fromkeys(by_distance) if cell in existing]
 
 
-def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
-    moves = [cell for cell in _wanted_next(previous, requested, clockwise_first) if cell in existing]
+def _next_cells(
+    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+) -> list[Cell]:
+    moves = [
+        cell for cell in _wanted_next(previous, requested, clockwise_first) if cell in existing
+    ]
     return moves if previous in moves else [*moves, previous]
 
 
@@ -210,7 +222,9 @@ def _next_existing_cells(
     return list(dict.fromkeys([*moves, previous]))
 
 
-def _assigned(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> tuple[Cell, ...] | None:
+def _assigned(
+    preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]
+) -> tuple[Cell, ...] | None:
     # The first assignment of distinct cells, in lexicographic order of the NPCs' preferences; None if none continues
     # `taken`.
     if len(taken) == len(preferences):
@@ -227,7 +241,9 @@ SPEED_STEPS_PER_MPS = 10
 # The highest speed that a scenario can give to a vehicle [m/s]. Each world has a much lower limit.
 MAX_SPEED = 1000.0
 
-CODES_PER_TARGET = 10_000  # the distance between the codes of two targets, which is more than any speed
+CODES_PER_TARGET = (
+    10_000  # the distance between the codes of two targets, which is more than any speed
+)
 
 
 class ScenarioError(FieldError):
@@ -297,8 +313,14 @@ class Instruction(Pasteable, ABC):
 
     def in_file(self) -> dict[str, Any]:
         given = [(each, getattr(self, each.name)) for each in fields(cast("Any", self))]
-        told = {each.name: value for each, value in given if each.default is MISSING or value != each.default}
-        return {name: value.label if isinstance(value, Cell) else value for name, value in told.items()}
+        told = {
+            each.name: value
+            for each, value in given
+            if each.default is MISSING or value != each.default
+        }
+        return {
+            name: value.label if isinstance(value, Cell) else value for name, value in told.items()
+        }
 
     # Chains.
 
@@ -417,16 +439,25 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
     """Check a target speed [m/s] and return it, rounded to a step of 0.1."""
     speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
-        raise ScenarioError(field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value))
-    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
+        raise ScenarioError(
+            field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value)
+        )
+    steps = round(
+        max(speed, 0.0) * SPEED_STEPS_PER_MPS
+    )  # a value far below 0 would overflow when multiplied by 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         nearest = max(steps, least_steps) / SPEED_STEPS_PER_MPS  # `least_steps` is valid
-        expected, fix = "a non-negative multiple of 0.1 m/s", f"the nearest valid speed is {nearest:g} m/s"
+        expected, fix = (
+            "a non-negative multiple of 0.1 m/s",
+            f"the nearest valid speed is {nearest:g} m/s",
+        )
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 
 
-def roughness(tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS) -> int:
+def roughness(
+    tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS
+) -> int:
     """Return 0 for a multiple of ``coarse``, 1 for a multiple of ``fine``, otherwise 2."""
     return (tenths % coarse > 0) + (tenths % fine > 0)
 
@@ -454,7 +485,9 @@ class PositionInstruction(TimedInstruction):
         if type(self.cell) is not Cell:
             number = plain_whole(self.cell)
             if number is None or not 1 <= number <= 8:
-                expected = "a whole number from 1 (front-left) to 8 (left), clockwise around the ego"
+                expected = (
+                    "a whole number from 1 (front-left) to 8 (left), clockwise around the ego"
+                )
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
             object.__setattr__(self, "cell", Cell(number))
         object.__setattr__(self, "speed", checked_speed(self.speed))
@@ -512,7 +545,9 @@ class LaneInstruction(TimedInstruction):
 
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
-            raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
+            raise ScenarioError(
+                field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane)
+            )
         object.__setattr__(self, "lane", str(self.lane))
         object.__setattr__(self, "speed", checked_speed(self.speed))
         self._prepare(self.lane, 9 + SHIFTS.index(self.lane))
@@ -557,7 +592,11 @@ class LaneInstruction(TimedInstruction):
         if after == 0 != before:
             return f"from the {'left' if before < 0 else 'right'} into the ego's lane"
         number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far := round(abs(after)), f"{far}th ")
-        place = f"the {number}lane {'left' if after < 0 else 'right'} of the ego" if after else "the ego's lane"
+        place = (
+            f"the {number}lane {'left' if after < 0 else 'right'} of the ego"
+            if after
+            else "the ego's lane"
+        )
         return f"{'keep' if before == after else 'into'} {place}"
 
     def row(self, apart: float, end: str, *, names_side: bool) -> str:
@@ -574,7 +613,9 @@ class LaneInstruction(TimedInstruction):
         return {"lane": self.lane, "words": words}
 
 
-def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> list[list[LaneInstruction]]:
+def random_lanes(
+    choices: Choices, npcs: int, genes: int, rng: Generator
+) -> list[list[LaneInstruction]]:
     """Sample chains of ``LaneInstruction`` uniformly."""
     shifts = rng.integers(len(SHIFTS), size=(npcs, genes)).tolist()
     speeds = rng.integers(choices.low, choices.top + 1, size=(npcs, genes)).tolist()
@@ -588,7 +629,13 @@ def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> lis
 
 
 # The five named intervals of slots, each with its end [s]. They divide the time at a zone as cells divide the grid.
-SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
+SLOTS = {
+    "well before": -1.0,
+    "just before": 0.0,
+    "together": 0.0,
+    "just after": 1.0,
+    "well after": math.inf,
+}
 
 SLOT_STEPS_PER_SECOND = 10  # slots are multiples of 0.1 s
 
@@ -638,14 +685,21 @@ class CrossingInstruction(Instruction):
             expected = 'the entry and exit of a path, such as "o1>o3"'
             raise ScenarioError(field="zone", expected=expected, received=f"{self.zone!r:.100}")
         if self.act not in ACTS:
-            raise ScenarioError(field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}")
+            raise ScenarioError(
+                field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}"
+            )
         object.__setattr__(self, "zone", str(self.zone))
         object.__setattr__(self, "act", str(self.act))
         object.__setattr__(self, "slot", _checked_slot(self.slot))
         object.__setattr__(self, "speed", checked_speed(self.speed, least_steps=1))
         if self.speed <= 0:
-            expected, fix = "a speed above 0 m/s, so that the NPC reaches the zone", 'use act="stop" to stop there'
-            raise ScenarioError(field="speed", expected=expected, received=repr(self.speed), fix=fix)
+            expected, fix = (
+                "a speed above 0 m/s, so that the NPC reaches the zone",
+                'use act="stop" to stop there',
+            )
+            raise ScenarioError(
+                field="speed", expected=expected, received=repr(self.speed), fix=fix
+            )
 
     @property
     def target(self) -> str:
@@ -672,7 +726,12 @@ class CrossingInstruction(Instruction):
 
     @property
     def deed(self) -> str:
-        return {"pass": "", "hold": "holds at the line", "stop": "stops there", "late": "starts late"}[self.act]
+        return {
+            "pass": "",
+            "hold": "holds at the line",
+            "stop": "stops there",
+            "late": "starts late",
+        }[self.act]
 
     def words_from(self, whence: str) -> str:
         return ", ".join(filter(None, (whence, self.when, self.deed)))
@@ -724,15 +783,25 @@ class CrossingInstruction(Instruction):
     def plainer(self) -> Iterator[CrossingInstruction]:
         # Rounder slots come first, then slots nearer to 0.
         slot = self._tenths
-        rounded = [below for unit in (SECOND, HALF) for below in (slot // unit * unit, -(-slot // unit) * unit)]
-        nearer = [slot - math.copysign(step, slot) for step in (SECOND, HALF, 1) if step <= abs(slot)]
+        rounded = [
+            below
+            for unit in (SECOND, HALF)
+            for below in (slot // unit * unit, -(-slot // unit) * unit)
+        ]
+        nearer = [
+            slot - math.copysign(step, slot) for step in (SECOND, HALF, 1) if step <= abs(slot)
+        ]
         for tenths in dict.fromkeys((0, *rounded, *nearer)):
             yield replace(self, slot=tenths / SLOT_STEPS_PER_SECOND)
 
     @classmethod
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[CrossingInstruction]:
-        places = dict.fromkeys((each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in found)
-        return [cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places if speed > 0]
+        places = dict.fromkeys(
+            (each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in found
+        )
+        return [
+            cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places if speed > 0
+        ]
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         return {"zone": self.zone, "words": self.words_from(whence)}
@@ -746,7 +815,9 @@ def _checked_slot(value: object) -> float:
     steps = round(slot * SLOT_STEPS_PER_SECOND)
     if abs(slot * SLOT_STEPS_PER_SECOND - steps) > 1e-6:
         fix = f"the nearest valid slot is {steps / SLOT_STEPS_PER_SECOND:g} s"
-        raise ScenarioError(field="slot", expected="a multiple of 0.1 s", received=repr(value), fix=fix)
+        raise ScenarioError(
+            field="slot", expected="a multiple of 0.1 s", received=repr(value), fix=fix
+        )
     return steps / SLOT_STEPS_PER_SECOND + 0.0
 
 

@@ -25,7 +25,15 @@ from pytest_pafot.model.instructions import (
     is_adjacent,
     repair_chains,
 )
-from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleName, VehicleType, without_last_cars
+from pytest_pafot.model.vehicle_type import (
+    CAR,
+    PAPERS,
+    STYLES,
+    Style,
+    VehicleName,
+    VehicleType,
+    without_last_cars,
+)
 from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, checked_whole
 from pytest_pafot.support.text import Pasteable
 
@@ -98,16 +106,27 @@ class Scenario(_Hashed):
             object.__setattr__(self, "vehicles", _checked_vehicles(self.vehicles, len(self.npcs)))
         object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
-        speed = checked_number(self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError)
-        object.__setattr__(self, "ego_speed", speed + 0.0)  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+        speed = checked_number(
+            self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError
+        )
+        object.__setattr__(
+            self, "ego_speed", speed + 0.0
+        )  # -0.0 becomes 0.0, so that equal scenarios have equal texts
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         seconds = checked_number(
-            self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE, error=ScenarioError
+            self.gene_seconds,
+            "gene_seconds",
+            expected,
+            least=POSITIVE,
+            most=LONGEST_GENE,
+            error=ScenarioError,
         )
         object.__setattr__(self, "gene_seconds", seconds)
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             expected = f"one of {', '.join(STYLES)}"
-            raise ScenarioError(field="traffic", expected=expected, received=f"{self.traffic!r:.100}")
+            raise ScenarioError(
+                field="traffic", expected=expected, received=f"{self.traffic!r:.100}"
+            )
         object.__setattr__(self, "traffic", str(self.traffic))
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(self.npcs)
@@ -150,7 +169,11 @@ class Scenario(_Hashed):
         try:
             return self._hash
         except AttributeError:
-            object.__setattr__(self, "_hash", hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain])))
+            object.__setattr__(
+                self,
+                "_hash",
+                hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain])),
+            )
             return self._hash
 
     @property
@@ -189,7 +212,9 @@ class Scenario(_Hashed):
     @property
     def _beside_chains(self) -> list[Any]:
         traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic]
-        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # the only list here
+        vehicles = (
+            [[each.plain() for each in self.vehicles]] if self.vehicles else []
+        )  # the only list here
         return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
 
     @property
@@ -212,7 +237,9 @@ class Scenario(_Hashed):
             vehicles=tuple(vehicles),
         )
 
-    def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
+    def rechained(
+        self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None
+    ) -> Scenario:
         chains = _repaired(npcs, self.seed)
         if gene_seconds is not None:
             return replace(self, npcs=chains, gene_seconds=gene_seconds)
@@ -236,10 +263,14 @@ class Scenario(_Hashed):
     def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:
         kept = tuple(npcs)
         vehicles = tuple(map(self.vehicle_of, kept)) if self.vehicles else ()
-        return replace(self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes)
+        return replace(
+            self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes
+        )
 
     def with_vehicle(self, npc: int, vehicle: VehicleType) -> Scenario:
-        return replace(self, vehicles=(*self.all_vehicles[:npc], vehicle, *self.all_vehicles[npc + 1 :]))
+        return replace(
+            self, vehicles=(*self.all_vehicles[:npc], vehicle, *self.all_vehicles[npc + 1 :])
+        )
 
     def truncated(self, genes: int) -> Scenario:
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
@@ -247,7 +278,8 @@ class Scenario(_Hashed):
     def __str__(self) -> str:
         kinds = ["" if kind == CAR else f"{kind.name} " for kind in self.all_vehicles]
         chains = "; ".join(
-            kind + " ".join(gene.short for gene in chain) for kind, chain in zip(kinds, self.npcs, strict=True)
+            kind + " ".join(gene.short for gene in chain)
+            for kind, chain in zip(kinds, self.npcs, strict=True)
         )
         return f"<Scenario {self.id}: {chains}>"
 
@@ -267,7 +299,9 @@ def _canonical(scenario: Scenario) -> str:
 
 
 def _checked_whole(name: str, value: object, top: int) -> int:
-    return checked_whole(value, name, f"a whole number from 0 to {top}", least=0, most=top, error=ScenarioError)
+    return checked_whole(
+        value, name, f"a whole number from 0 to {top}", least=0, most=top, error=ScenarioError
+    )
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
@@ -278,7 +312,9 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         fix = "write npcs=[[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
-        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains)))
+        raise ScenarioError(
+            field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains))
+        )
     for npc, chain in enumerate(chains):
         is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
         if is_one_kind and (len(chain) == 1 or not chain[0].crosses):
@@ -295,17 +331,24 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 expected = f"a {kind.__name__}, as in npcs[{npc}][0]"
                 fix = "give each NPC only one kind of instruction"
             elif gene and each.crosses:
-                expected, fix = f"no second {kind.__name__} for the same NPC", "give it to another NPC"
+                expected, fix = (
+                    f"no second {kind.__name__} for the same NPC",
+                    "give it to another NPC",
+                )
             else:
                 continue
-            raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
+            raise ScenarioError(
+                field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix
+            )
     return chains
 
 
 def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     if isinstance(vehicles, (str, Mapping)) or not isinstance(vehicles, Iterable):
         fix = 'write, for example, vehicles=("truck",)'
-        raise ScenarioError(field="vehicles", expected="a list of vehicles", received=f"{vehicles!r:.100}", fix=fix)
+        raise ScenarioError(
+            field="vehicles", expected="a list of vehicles", received=f"{vehicles!r:.100}", fix=fix
+        )
     found = []
     for npc, each in enumerate(vehicles):
         try:
@@ -313,7 +356,10 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
         except FieldError as error:
             name = "" if error.field == "vehicle" else f".{error.field}"
             raise ScenarioError(
-                field=f"vehicles[{npc}]{name}", expected=error.expected, received=error.received, fix=error.fix
+                field=f"vehicles[{npc}]{name}",
+                expected=error.expected,
+                received=error.received,
+                fix=error.fix,
             ) from None
     if len(found) > npcs:
         expected = f"no more vehicles than NPCs ({npcs})"
@@ -327,26 +373,40 @@ def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromos
     wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
     if are_valid(wanted):
         return chains
-    return with_targets(chains, on_grid(chains, repair_chains(wanted, _checked_whole("seed", seed, MAX_SEED))))
+    return with_targets(
+        chains, on_grid(chains, repair_chains(wanted, _checked_whole("seed", seed, MAX_SEED)))
+    )
 
 
-def positions_of(npcs: Sequence[Sequence[Instruction]]) -> tuple[tuple[PositionInstruction, ...], ...]:
+def positions_of(
+    npcs: Sequence[Sequence[Instruction]],
+) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Return the chains of ``PositionInstruction``."""
-    return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(tuple(each) for each in npcs if each[0].on_grid))
+    return cast(
+        "tuple[tuple[PositionInstruction, ...], ...]",
+        tuple(tuple(each) for each in npcs if each[0].on_grid),
+    )
 
 
-def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
+def on_grid(
+    npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]
+) -> list[Sequence[Cell]]:
     """Return a row of cells for each NPC, empty for NPCs that are not on the grid."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]
 
 
-def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -> tuple[Chromosome, ...]:
+def with_targets(
+    npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]
+) -> tuple[Chromosome, ...]:
     """Return the chains with their first genes aimed at new targets."""
     return tuple(
         # Most targets are unchanged. Checking a new gene for each of them would take a tenth of a short run.
         (
-            *(gene if gene.target == target else gene.aimed(target) for target, gene in zip(row, chain, strict=False)),
+            *(
+                gene if gene.target == target else gene.aimed(target)
+                for target, gene in zip(row, chain, strict=False)
+            ),
             *chain[len(row) :],
         )
         for chain, row in zip_longest(npcs, targets, fillvalue=())
@@ -368,7 +428,8 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
     olds = [min(int((gene + 0.5) * wanted / seconds), len(chain) - 1) for gene in range(count)]
     return tuple(
-        chain[old].afterwards if old == before else chain[old] for before, old in zip([-1, *olds], olds, strict=False)
+        chain[old].afterwards if old == before else chain[old]
+        for before, old in zip([-1, *olds], olds, strict=False)
     )
 
 
@@ -391,6 +452,9 @@ def _check_distinct(npcs: Sequence[Chromosome]) -> None:
                 continue
             other = holders.setdefault(held.cell, npc)
             if other != npc:
-                place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC occupies in gene {gene}"
+                place, expected = (
+                    f"npcs[{npc}][{gene}]",
+                    f"a cell that no other NPC occupies in gene {gene}",
+                )
                 received = f"cell {int(held.cell)}, which npcs[{other}] occupies"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

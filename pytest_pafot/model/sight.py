@@ -39,7 +39,10 @@ class Sight:
         if not isinstance(self.noise, Mapping) or not self.noise.keys() <= NOISES.keys():
             expected = 'a mapping with the keys "position" [m], "speed" [m/s] or both'
             raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
-        noise = {key: float(_number(f"noise.{key}", value, NOISES[key])) for key, value in self.noise.items()}
+        noise = {
+            key: float(_number(f"noise.{key}", value, NOISES[key]))
+            for key, value in self.noise.items()
+        }
         object.__setattr__(self, "noise", {key: value for key, value in noise.items() if value})
         object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
         object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
@@ -49,7 +52,11 @@ class Sight:
     @property
     def imperfections(self) -> dict[str, Any]:
         values = {each.name: getattr(self, each.name) for each in fields(Sight)}
-        return {name: value for name, value in values.items() if value or (name == "range" and value is not None)}
+        return {
+            name: value
+            for name, value in values.items()
+            if value or (name == "range" and value is not None)
+        }
 
     @property
     def is_drawn(self) -> bool:
@@ -70,7 +77,9 @@ class Sight:
         # In ticks, rounded up.
         return math.ceil(self.latency * hz - 1e-9)
 
-    def glimpses(self, states: FloatArray, seed: int, tick: int) -> list[tuple[int, float, float, float]]:
+    def glimpses(
+        self, states: FloatArray, seed: int, tick: int
+    ) -> list[tuple[int, float, float, float]]:
         # The index and the measurement errors of each vehicle that is seen.
         # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed
         # [m/s]. Their random numbers depend only on the seed and the tick.
@@ -89,6 +98,8 @@ class Sight:
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
     number = plain_number(value)
     if number is None or not 0 <= number <= most:
-        expected = f"a finite value of at least 0 {unit}" if unit else f"a number from 0 to {most:g}"
+        expected = (
+            f"a finite value of at least 0 {unit}" if unit else f"a number from 0 to {most:g}"
+        )
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
     return number

@@ -131,7 +131,9 @@ class AdsError:
     @property
     def text(self) -> str:
         """The error's kind and message."""
-        return self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
+        return (
+            self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
+        )
 
 
 class RoadOfRun:
@@ -173,7 +175,9 @@ class RoadOfRun:
     def track(self) -> FloatArray:
         cos, sin = self._cos_sin
         along = self.x * cos + self.y * sin
-        return np.stack((along.T, self._across.T, self.angles, self._beside.T, np.ones(along.T.shape)), axis=-1)
+        return np.stack(
+            (along.T, self._across.T, self.angles, self._beside.T, np.ones(along.T.shape)), axis=-1
+        )
 
     @property
     def heading(self) -> float | None:
@@ -203,7 +207,9 @@ class RoadOfRun:
         x, y, cos, sin = other[X] - ego[X], other[Y] - ego[Y], math.cos(heading), math.sin(heading)
         return x * cos + y * sin, y * cos - x * sin
 
-    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def turned(
+        self, cos: FloatArray, sin: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         # The cosine and sine of each vehicle's angle to the road, and the cosine and sine of the road's heading.
         road_cos, road_sin = self.direction
         return cos * road_cos + sin * road_sin, sin * road_cos - cos * road_sin, road_cos, road_sin
@@ -220,7 +226,10 @@ class RoadOfRun:
         cos, sin = math.cos(self._lanes[0].heading), math.sin(self._lanes[0].heading)
         across = self._states[:, 0, Y] * cos - self._states[:, 0, X] * sin
         edges = [(each.y * cos - each.x * sin, each.width / 2) for each in self._lanes]
-        left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
+        left, right = (
+            min(centre - width for centre, width in edges),
+            max(centre + width for centre, width in edges),
+        )
         return np.minimum(across - left, right - across)
 
     def numbers(self, vehicle: int) -> FloatArray:
@@ -259,7 +268,9 @@ class RoadOfRun:
         (cos, sin), lanes = self._cos_sin, self.column(LANE).astype(np.intp)
         centres = np.array([lane.y * cos - lane.x * sin for lane in self._lanes])
         offset, off = self._across - centres[lanes], lanes < 0
-        if off.any():  # off the road, positions are measured as if there were one more lane on either side
+        if (
+            off.any()
+        ):  # off the road, positions are measured as if there were one more lane on either side
             width = self._lanes[0].width
             beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
             apart = self._across[off, None] - beside
@@ -304,7 +315,9 @@ class BentRoadOfRun(RoadOfRun):
         ego, other = self._track[tick, 0].tolist(), self._track[tick, npc + 1].tolist()
         return driven_between(ego, other), other[ACROSS] - ego[ACROSS]
 
-    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def turned(
+        self, cos: FloatArray, sin: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         angle = self._track[:, :, ANGLE].T
         own_cos, own_sin = np.cos(angle), np.sin(angle)
         return own_cos, own_sin, cos * own_cos + sin * own_sin, sin * own_cos - cos * own_sin
@@ -395,7 +408,9 @@ class Trace:
     collision: Collision | None = None  # only with the outcome COLLISION
     error: AdsError | None = None  # only with the outcomes ADS_ERROR and HANG
     actions: tuple[Any, ...] = ()
-    decided: tuple[int, ...] = ()  # for example because a wrapper repeats actions; see decision_ticks
+    decided: tuple[
+        int, ...
+    ] = ()  # for example because a wrapper repeats actions; see decision_ticks
     arrivals: tuple[tuple[int | None, ...], ...] = ()
     off_road_tick: int | None = None
     max_decision_seconds: float = field(default=0.0, compare=False)
@@ -406,7 +421,9 @@ class Trace:
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
     ego_vehicle: VehicleType = CAR
-    ended: str = ""  # such as `GoalEnv._is_terminated`; if the run is invalid, with the error raised there
+    ended: str = (
+        ""  # such as `GoalEnv._is_terminated`; if the run is invalid, with the error raised there
+    )
 
     @property
     def users_error_text(self) -> str:
@@ -424,9 +441,15 @@ class Trace:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if self.states.ndim != 3 or self.states.shape[2] != 7:
-            raise ValueError(f"states: expected the shape (ticks + 1, vehicles, 7), received {self.states.shape}")
+            raise ValueError(
+                f"states: expected the shape (ticks + 1, vehicles, 7), received {self.states.shape}"
+            )
         rows, vehicles, _ = self.states.shape
-        shapes = {"sizes": (vehicles, 2), "track": (rows, vehicles, 5), "on_way": (rows, vehicles - 1)}
+        shapes = {
+            "sizes": (vehicles, 2),
+            "track": (rows, vehicles, 5),
+            "on_way": (rows, vehicles - 1),
+        }
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array is not None and array.shape != shape:
@@ -462,7 +485,9 @@ class Trace:
     @property
     def decision_ticks(self) -> Sequence[int]:
         """The ticks at which decisions were made, including the tick of a decision that failed."""
-        return self.decided or range(0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz))
+        return self.decided or range(
+            0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz)
+        )
 
     @property
     def ego(self) -> FloatArray:
@@ -485,7 +510,9 @@ class Trace:
     def way_of(self, npc: int) -> FloatArray:
         """Return an NPC's positions [m] along its crossing path, or raise a ValueError."""
         if self.on_way is None:
-            raise ValueError("on_way: expected a run in which an NPC crosses the ego's path, received another run")
+            raise ValueError(
+                "on_way: expected a run in which an NPC crosses the ego's path, received another run"
+            )
         return self.on_way[:, npc]
 
     @property
@@ -496,7 +523,9 @@ class Trace:
     def rows_until(self, tick: int) -> dict[str, Any]:
         # The arrays with one row per tick up to this one, by the names of their fields.
         arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}
-        return {name: None if array is None else array[: tick + 1] for name, array in arrays.items()}
+        return {
+            name: None if array is None else array[: tick + 1] for name, array in arrays.items()
+        }
 
     def vehicle_type(self, vehicle: int) -> VehicleType:
         return self.scenario.vehicle_of(vehicle - 1) if vehicle else self.ego_vehicle
@@ -516,7 +545,14 @@ class Trace:
 
 # The names and units of the columns of :attr:`Trace.states`.
 QUANTITIES = (
-    *(("x", "m"), ("y", "m"), ("heading", "rad"), ("speed", "m/s"), ("acceleration", "m/s^2"), ("steering", "rad")),
+    *(
+        ("x", "m"),
+        ("y", "m"),
+        ("heading", "rad"),
+        ("speed", "m/s"),
+        ("acceleration", "m/s^2"),
+        ("steering", "rad"),
+    ),
     ("lane", ""),
 )
 # The cause of a difference between two runs with the same actions.
@@ -533,9 +569,14 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
     # `within` is the largest difference of x and y that is ignored [m]. None requires equality to the last bit, and the
     # result then also states the likely cause.
     ticks = min(len(first.states), len(again.states))
-    one, other = (each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1] for each in (first, again))
+    one, other = (
+        each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1]
+        for each in (first, again)
+    )
     with np.errstate(invalid="ignore"):  # inf - inf
-        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
+        apart = np.where(
+            (one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other)
+        )
     differs = ~(apart <= (within or 0.0))
     if not differs.any():
         ends = [f"{each.outcome} after {each.duration:.4g} s" for each in (first, again)]
@@ -548,6 +589,8 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
     if within is not None or not first.actions:
         return what
     made = sum(each < tick for each in first.decision_ticks)
-    with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # actions of any type, to the last bit
+    with np.printoptions(
+        floatmode="unique", threshold=sys.maxsize
+    ):  # actions of any type, to the last bit
         one_made, other_made = (repr(each.actions[:made]) for each in (first, again))
     return f"{what}; {SURVIVES if one_made == other_made else 'the policy had decided differently'}"

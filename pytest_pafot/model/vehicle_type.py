@@ -55,7 +55,9 @@ Style = Literal["paper", "hostile", "assertive", "everyday"]  # the name of a st
 STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
     {
         "paper": DrivingStyle(is_attentive=False),
-        "hostile": DrivingStyle(described="hostile traffic (NPCs may stop, brake hard and cut in close)"),
+        "hostile": DrivingStyle(
+            described="hostile traffic (NPCs may stop, brake hard and cut in close)"
+        ),
         "assertive": DrivingStyle(
             described="assertive traffic (hard but ordinary driving)",
             least_speed_share=0.5,
@@ -123,19 +125,29 @@ class VehicleType(Pasteable):
     top_speed: float = math.inf
 
     def __post_init__(self) -> None:
-        is_text = isinstance(self.name, str) and self.name.isprintable() and self.name == self.name.strip()
+        is_text = (
+            isinstance(self.name, str)
+            and self.name.isprintable()
+            and self.name == self.name.strip()
+        )
         if not is_text or not 1 <= len(self.name) <= LONGEST_NAME:
-            expected = f"a name of 1 to {LONGEST_NAME} printable characters, without spaces at either end"
+            expected = (
+                f"a name of 1 to {LONGEST_NAME} printable characters, without spaces at either end"
+            )
             raise FieldError(field="name", expected=expected, received=f"{self.name!r:.100}")
         object.__setattr__(self, "name", str(self.name))
         for name, (low, high) in BOUNDS.items():
             given = getattr(self, name)
             number = (
-                math.inf if high == math.inf and isinstance(given, float) and given == high else plain_number(given)
+                math.inf
+                if high == math.inf and isinstance(given, float) and given == high
+                else plain_number(given)
             )
             if number is None or not low <= number <= high:
                 most = "" if high == math.inf else f" to {high:g}"
-                expected = f"a number from {low:g}{most}" if most else f"a number of at least {low:g}"
+                expected = (
+                    f"a number from {low:g}{most}" if most else f"a number of at least {low:g}"
+                )
                 raise FieldError(field=name, expected=expected, received=f"{given!r:.100}")
             object.__setattr__(self, name, number + 0.0)
         if self.length < self.width:
@@ -167,12 +179,17 @@ class VehicleType(Pasteable):
 
     @property
     def has_limits(self) -> bool:
-        return min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed) < math.inf
+        return (
+            min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed)
+            < math.inf
+        )
 
     def limited(self, acceleration: float, steering: float, speed: float) -> tuple[float, float]:
         # The acceleration [m/s^2] and steering [rad] of an ego with these limits.
         # Near the top speed, the ego accelerates less, as highway-env's own vehicles do.
-        acceleration = max(min(acceleration, self.acceleration, self.top_speed - speed), -self.braking)
+        acceleration = max(
+            min(acceleration, self.acceleration, self.top_speed - speed), -self.braking
+        )
         slip = self.lateral_acceleration * self.length / 2 / max(speed * speed, 1e-9)
         if slip < 1.0:
             most = math.atan(2 * math.tan(math.asin(slip)))
@@ -225,7 +242,13 @@ VAN = VehicleType(name="van", length=6.5, width=2.16)
 # A loaded truck of the largest size without a trailer, with SUMO's acceleration and emergency braking of a truck, a
 # lateral acceleration up to the threshold of rolling over, and a speed limitation device.
 TRUCK = VehicleType(
-    name="truck", length=12.0, width=2.55, acceleration=1.3, braking=7.0, lateral_acceleration=3.4, top_speed=25.0
+    name="truck",
+    length=12.0,
+    width=2.55,
+    acceleration=1.3,
+    braking=7.0,
+    lateral_acceleration=3.4,
+    top_speed=25.0,
 )
 
 # A motorcycle with SUMO's size, acceleration and braking. The limits of most worlds are lower and apply instead.
@@ -253,5 +276,7 @@ def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     found = tuple(dict.fromkeys(VehicleType.parse(each) for each in several))
     if not found:
-        raise FieldError(field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given))
+        raise FieldError(
+            field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given)
+        )
     return found

@@ -33,7 +33,16 @@ from pytest_pafot.criticality.signals import (
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    HEADING,
+    SPEED,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Trace,
+)
 from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
 from pytest_pafot.support.errors import POSITIVE, DriverError, checked_number, install
@@ -52,7 +61,9 @@ class Rejected(BaseException):
 
 def reject() -> NoReturn:
     """Discard the current scenario, which then counts as neither passed nor failed."""
-    raise Rejected("pafot.reject() discards a scenario in a @pafot.search test. Do not call it anywhere else")
+    raise Rejected(
+        "pafot.reject() discards a scenario in a @pafot.search test. Do not call it anywhere else"
+    )
 
 
 LONGEST_NAME = 60
@@ -103,7 +114,9 @@ class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
 
     def __init__(self, check: Check) -> None:
         if not isinstance(check, Check):
-            raise TypeError(f"CheckFailed: expected a Check, received {check!r:.80}. Call pafot.check(...) instead")
+            raise TypeError(
+                f"CheckFailed: expected a Check, received {check!r:.80}. Call pafot.check(...) instead"
+            )
         super().__init__(str(check))
         self.check = check
 
@@ -168,18 +181,31 @@ def check(
         raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither")
     values = _values(value, name)
     # All bounds become margins in the same direction. The smallest margin counts.
-    signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
-    bounds = [(checked_number(bound, what, "a finite number as the bound"), sign) for bound, sign in signed]
+    signed = [
+        (bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None
+    ]
+    bounds = [
+        (checked_number(bound, what, "a finite number as the bound"), sign)
+        for bound, sign in signed
+    ]
     with np.errstate(invalid="ignore"):
-        margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
+        margins = np.min(
+            [sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0
+        )
     # NaN must never pass: it is worse than any number.
     margins = np.where(np.isnan(margins), -np.inf, margins)
     tick, recording = int(margins.argmin()), _RECORDING.get()
     # Only an array with one value per tick of the evaluated run has times.
-    hz = None if recording is None or values.size == 1 or values.size != recording.ticks + 1 else recording.hz
+    hz = (
+        None
+        if recording is None or values.size == 1 or values.size != recording.ticks + 1
+        else recording.hz
+    )
     time = None if hz is None else tick / hz
     if at is not None:
-        time = checked_number(at, what, "at= to be at least 0 seconds after the start of the run", least=0.0)
+        time = checked_number(
+            at, what, "at= to be at least 0 seconds after the start of the run", least=0.0
+        )
     made = Check(
         name=_named(name),
         value=float(values[tick]),
@@ -202,7 +228,9 @@ def _values(value: Any, name: str) -> FloatArray:
     try:
         values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"check {name!r}: expected a number or an array of numbers, received {value!r:.80}") from error
+        raise ValueError(
+            f"check {name!r}: expected a number or an array of numbers, received {value!r:.80}"
+        ) from error
     if values.ndim != 1 or not values.size:
         raise ValueError(
             f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
@@ -224,19 +252,30 @@ def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
 
 
 def _named(name: str) -> str:
-    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        raise ValueError(f"name: expected 1 to {LONGEST_NAME} printable characters, received {name!r:.100}")
+    if (
+        not isinstance(name, str)
+        or not name.strip()
+        or len(name) > LONGEST_NAME
+        or not name.isprintable()
+    ):
+        raise ValueError(
+            f"name: expected 1 to {LONGEST_NAME} printable characters, received {name!r:.100}"
+        )
     return name.strip()
 
 
 def _scale(name: str, bound: float, scale: float | None) -> float:
     divisor = abs(bound) or 1.0 if scale is None else scale
-    return checked_number(divisor, f"check {name!r}", "scale= to be a positive number", least=POSITIVE)
+    return checked_number(
+        divisor, f"check {name!r}", "scale= to be a positive number", least=POSITIVE
+    )
 
 
 def _unit(name: str, unit: object) -> str:
     if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
-        raise ValueError(f"check {name!r}: expected a short printable unit=, such as 'm/s^3', received {unit!r:.100}")
+        raise ValueError(
+            f"check {name!r}: expected a short printable unit=, such as 'm/s^3', received {unit!r:.100}"
+        )
     return unit
 
 
@@ -246,7 +285,9 @@ def _npc(name: str, npc: Any) -> int | None:
     is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
     if npc is not None and not (is_index and (most is None or npc < most)):
         there = "" if most is None else f" (at most {most - 1})"
-        raise ValueError(f"check {name!r}: expected npc= to be the index of an NPC{there}, received {npc!r:.100}")
+        raise ValueError(
+            f"check {name!r}: expected npc= to be the index of an NPC{there}, received {npc!r:.100}"
+        )
     return None if npc is None or npc < 0 else int(npc)
 
 
@@ -259,7 +300,12 @@ def _short(value: float, bound: float | None) -> str:
     if value == bound:
         return f"{value:g}"
     return next(
-        (text for text in texts if float(text) != bound and (float(text) > bound) == (value > bound)), texts[-1]
+        (
+            text
+            for text in texts
+            if float(text) != bound and (float(text) > bound) == (value > bound)
+        ),
+        texts[-1],
     )
 
 
@@ -313,9 +359,13 @@ class Run:
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
+            __tracebackhide__ = (
+                True  # pytest then shows the line of the test function as the last one
+            )
             if hasattr(type(self), name):
-                return object.__getattribute__(self, name)  # raises the AttributeError from inside a property again
+                return object.__getattribute__(
+                    self, name
+                )  # raises the AttributeError from inside a property again
             known = [each for each in dir(self) if not each.startswith("_")]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f"Did you mean `run.{near[0]}`?" if near else f"It has {', '.join(known)}"
@@ -423,7 +473,9 @@ class Run:
         """
         return tuple(filter(None, passages(self.trace)))
 
-    def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
+    def signal(
+        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+    ) -> FloatArray:
         """Return the signal that a function computes from the trace, or its row for one NPC."""
         return self._signals.values_of(function, npc)
 
@@ -436,7 +488,8 @@ class Run:
                 f"run.to_pandas() requires the package pandas, which is not installed. Run `{install('compare')}`"
             ) from error
         return pd.DataFrame(  # type: ignore[no-any-return]
-            {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
+            {**dict(self._signals.all()), "leader": self.leader},
+            index=pd.Index(self.trace.times, name="time"),
         )
 
     # Who caused the collision.
@@ -547,9 +600,20 @@ class Run:
         zone = self.zone_of(hit)
         whence, way = "" if zone is None else zone.whence, "along"
         if hit.npc is not None:
-            turned = self.trace.states[hit.tick, hit.npc + 1, HEADING] - self.trace.ego[hit.tick, HEADING]
-            way = "backwards" if hit.ego_speed < -BACKWARDS else "along" if np.cos(turned) >= 0 else "towards"
-        return capitalised(impact(hit.time, hit.npc, hit.side, hit.cell, whence, hit.closing_speed, way))
+            turned = (
+                self.trace.states[hit.tick, hit.npc + 1, HEADING]
+                - self.trace.ego[hit.tick, HEADING]
+            )
+            way = (
+                "backwards"
+                if hit.ego_speed < -BACKWARDS
+                else "along"
+                if np.cos(turned) >= 0
+                else "towards"
+            )
+        return capitalised(
+            impact(hit.time, hit.npc, hit.side, hit.cell, whence, hit.closing_speed, way)
+        )
 
     def explain(self, *, instructions: bool = True) -> str:
         """Explain the run in about twenty lines of ASCII.
@@ -559,12 +623,20 @@ class Run:
         # What happened: the headline, the sentences of the verdict, and a few measures.
         is_whole, lines = not instructions or self.collision is None, [self._headline()]
         lines += [f"  {each}" for each in self.sentences]
-        lines = lines if is_whole else [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
+        lines = (
+            lines
+            if is_whole
+            else [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
+        )
         lines += self._measures()
         # What was requested: vehicles other than cars, the instructions, and how to identify the scenario.
         if instructions:
             names = [f"scenario {self.scenario.id}", f"scenario seed {self.scenario.seed}"]
-            names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
+            names += (
+                [f"position rule: {self.second_opinion}"]
+                if self.second_opinion != self.responsibility
+                else []
+            )
             names += filter(None, [STYLES[self.scenario.traffic].described])
             others = [
                 f"{f'NPC {number - 1}' if number else 'the ego'} is a {vehicle.described}"
@@ -573,11 +645,17 @@ class Run:
             ]
             lines += [f"  {'; '.join(others)}"] if others else []
             crossing = _crossing_lines(self.trace)
-            lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
+            lines += [
+                *crossing,
+                *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)),
+                f"  {', '.join(names)}",
+            ]
         # Strings of users and exceptions must neither break lines nor make them too long.
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         most = math.inf if self.collision is not None and not instructions else LINE_LENGTH
-        return "\n".join(text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts)
+        return "\n".join(
+            text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts
+        )
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
@@ -590,14 +668,20 @@ class Run:
         values = np.where(np.isnan(measure), np.inf, measure)
         if values.size == 0 or not np.isfinite(values.min()):
             return None
-        tick, npc = divmod(int(values.argmin()), values.shape[1])  # of equal values, the first tick and NPC
+        tick, npc = divmod(
+            int(values.argmin()), values.shape[1]
+        )  # of equal values, the first tick and NPC
         cell = criticality.Encounters(self.trace).last_cell(npc, tick)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def _headline(self) -> str:
         hit = self.collision
         if hit is not None:
-            other = "" if hit.npc is None else f" (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
+            other = (
+                ""
+                if hit.npc is None
+                else f" (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
+            )
             return f"{self.impact}{other}"
         if self.ads_error is not None:
             who = "ADS" if self.ads_error.is_of_ads else "environment"
@@ -619,8 +703,12 @@ class Run:
         lines, worst = [], self.worst_ttc
         if worst is not None:
             place = f"NPC {worst.npc} {self.place_of(worst)}".rstrip()
-            lines.append(f"  smallest time to contact: {self.min_ttc:.2f} s, {place} at {worst.time:.1f} s")
-        lines.append(f"  smallest distance: {self.min_distance:.2f} m at {self.closest_time:.1f} s; {brake}")
+            lines.append(
+                f"  smallest time to contact: {self.min_ttc:.2f} s, {place} at {worst.time:.1f} s"
+            )
+        lines.append(
+            f"  smallest distance: {self.min_distance:.2f} m at {self.closest_time:.1f} s; {brake}"
+        )
         return [*lines, *self._backwards()]
 
     def _backwards(self) -> list[str]:
@@ -628,7 +716,9 @@ class Run:
         tick = int(np.nanargmin(speeds))  # no other measure shows that the ego drove backwards
         if speeds[tick] > -BACKWARDS:
             return []
-        return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
+        return [
+            f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"
+        ]
 
     def _hardest_brake(self) -> str:
         text = f"hardest braking by the ego: {self.hardest_brake:.1f} m/s^2"
@@ -650,16 +740,25 @@ def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
 
 def arrival(trace: Trace, npc: int, gene: int) -> int | None:
     """Return the tick at which an NPC reached a gene's target, or None."""
-    chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+    chain, arrivals = (
+        trace.executed.npcs[npc],
+        trace.arrivals[npc] if npc < len(trace.arrivals) else (),
+    )
 
     def keeps_new_lane(later: int) -> bool:
         lanes = chain[gene].lasting(chain[later])
-        return lanes is not None and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
+        return (
+            lanes is not None
+            and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
+        )
 
     # A lane change can take longer than a short gene. It also counts if the NPC arrives in its new lane during the next
     # genes, as long as these keep that lane.
     genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
-    return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
+    return next(
+        (arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None),
+        None,
+    )
 
 
 def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
@@ -679,7 +778,11 @@ def _crossing_lines(trace: Trace) -> list[str]:
         f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
         for npc, each in shown
     ]
-    return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more crossing NPCs"]
+    return (
+        lines
+        if len(shown) == len(told)
+        else [*lines, f"  ... and {len(told) - len(shown)} more crossing NPCs"]
+    )
 
 
 def _passed(passage: Passage | None) -> str:
@@ -706,9 +809,14 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / seconds - 1e-9) + 1)
-    starts = [gene for gene in range(started) if any(_is_new(trace.chains[npc], gene) for npc in npcs)]
+    starts = [
+        gene for gene in range(started) if any(_is_new(trace.chains[npc], gene) for npc in npcs)
+    ]
     spans = list(pairwise([*starts, started]))
-    times = [f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}" for start, end in spans]
+    times = [
+        f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}"
+        for start, end in spans
+    ]
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     # Shorten the wording until the table fits.
     for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
@@ -743,11 +851,16 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     tick = next((each for each in arrivals if each is not None), None)
     if tick is None:
         return instruction.row(lanes_apart(trace, npc, gene), "not reached", names_side=names_side)
-    first, last = (round(each * trace.scenario.gene_seconds * trace.physics_hz) for each in (gene, genes[-1] + 1))
+    first, last = (
+        round(each * trace.scenario.gene_seconds * trace.physics_hz)
+        for each in (gene, genes[-1] + 1)
+    )
     speeds = trace.states[min(first, trace.ticks) : last + 1, npc + 1, SPEED]
     nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
     end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
-    if abs(nearest - instruction.speed) > NEAR_SPEED:  # the NPC reached the position, but not the speed
+    if (
+        abs(nearest - instruction.speed) > NEAR_SPEED
+    ):  # the NPC reached the position, but not the speed
         how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
         end = f"in place from {at}, {how}" if reached.endswith("at ") else f"in place {at}"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from pytest_pafot.plugin.collection import ANY_MARK, SAVED_MARK, SEARCH_MARK, Collection, arguments_of, is_driven
+from pytest_pafot.plugin.collection import (
+    ANY_MARK,
+    SAVED_MARK,
+    SEARCH_MARK,
+    Collection,
+    arguments_of,
+    is_driven,
+)
 from pytest_pafot.plugin.session import (
     INVENTORY,
     SESSION,
@@ -56,7 +63,9 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> Generator[None
         return (yield)
     except SystemExit as error:
         # pytest would end with the status of this exception, which may be 0.
-        raise pytest.UsageError(f"a conftest.py raised {error!r}. Remove the call that ends the process") from error
+        raise pytest.UsageError(
+            f"a conftest.py raised {error!r}. Remove the call that ends the process"
+        ) from error
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -80,7 +89,9 @@ def pytest_configure(config: pytest.Config) -> None:
         shared = config.stash[SHARED] = Shared()
         if asked := config.getoption(BY_NAME["today"].key):
             if is_ci(os.environ):  # a CI script may keep an old day for years
-                config.stash[SESSION].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
+                config.stash[SESSION].warnings.extend(
+                    stale_day(asked, date.fromisoformat(shared.today))
+                )
             shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
@@ -95,7 +106,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
-    if is_parallel:  # last, so that it merges the data of ended workers before the reports are written
+    if (
+        is_parallel
+    ):  # last, so that it merges the data of ended workers before the reports are written
         from pytest_pafot.plugin.distributed import Controller  # noqa: PLC0415
 
         _register(config, {"controller": Controller()})
@@ -108,7 +121,9 @@ def _check_that_it_searches(config: pytest.Config) -> None:
     except RequestError:  # its test reports it
         return
     if not settings.is_search:
-        raise pytest.UsageError(f"search: expected at least 1 run, received 0. Remove --runs or {flag('generations')}")
+        raise pytest.UsageError(
+            f"search: expected at least 1 run, received 0. Remove --runs or {flag('generations')}"
+        )
 
 
 @pytest.hookimpl(trylast=True)  # after hooks that add marks
@@ -164,7 +179,9 @@ def _register(config: pytest.Config, features: Mapping[str, object]) -> None:
 class Simulate(Protocol):
     """The type of the function that the fixture ``pafot_simulate`` returns."""
 
-    def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None) -> Run:
+    def __call__(
+        self, scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None
+    ) -> Run:
         """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
 
 
@@ -198,7 +215,9 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     from pytest_pafot.searches.harness import ads_text  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
-    def simulate(scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None) -> Run:
+    def simulate(
+        scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None
+    ) -> Run:
         world = pafot_world if world is None else world
         end = ""
         try:
@@ -208,10 +227,14 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
         if end:
             pytest.fail(end, pytrace=False)
         failure = ads_failure(run)
-        if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
+        if (
+            failure is not None
+        ):  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)
         hypothesis = sys.modules.get("hypothesis")
-        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many scenarios
+        is_generated = (
+            hypothesis is not None and hypothesis.currently_in_test_context()
+        )  # one of many scenarios
         if run.outcome is Outcome.INVALID and not is_generated:
             why = run.trace.users_error_text or "two NPCs collided, or an NPC hit a fixed object"
             what = "environment" if run.trace.ended else "scenario"

@@ -44,7 +44,9 @@ ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 RUN = "run"  # the parameter of the test function that receives the run
-MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()  # the marked functions and classes, by module
+MARKED: WeakKeyDictionary[ModuleType, list[Any]] = (
+    WeakKeyDictionary()
+)  # the marked functions and classes, by module
 REPEAT = "repeat="  # comes before the number of a repetition in the name of an item
 POSITIONAL = "<positional>"  # the key of positional arguments, which the item reports as an error
 
@@ -69,7 +71,9 @@ def search(*target: Any, **arguments: Any) -> Any:
 
 def _may_be_decorated(target: object) -> bool:
     if inspect.isclass(target):
-        kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # if not imported, there is no vehicle class
+        kinematics = sys.modules.get(
+            "highway_env.vehicle.kinematics"
+        )  # if not imported, there is no vehicle class
         is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
         return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
@@ -137,7 +141,9 @@ def saved_part(id_: str) -> str:
 def base_name(item: pytest.Item) -> str:
     """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
     mark = item.get_closest_marker(SAVED_MARK)
-    name = layout.name_without(layout.SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
+    name = layout.name_without(
+        layout.SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name
+    )
     # All repetitions of a test have the same saved scenarios, so their numbers are not part of the base name.
     for part in re.findall(rf"(?<=[\[-]){REPEAT}\d+(?=[\]-])", name):
         name = layout.name_without(part, name)
@@ -189,16 +195,28 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
 
     Return the corpus files, and the test files that were added.
     """
-    folders = {arg: layout.files_below(path_of(config, arg)) for arg in config.args if _is_in_corpus(config, arg)}
+    folders = {
+        arg: layout.files_below(path_of(config, arg))
+        for arg in config.args
+        if _is_in_corpus(config, arg)
+    }
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX) or folders.get(arg)]
     if not given:
         return set(), set()
     # A test file that is also on the command line is collected with all its tests.
     others = [path_of(config, arg).resolve() for arg in config.args if arg not in given]
-    paths = [path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]]
-    files = [path.parent.resolve() / path.name for path in paths]  # not resolved: a link has its own item
+    paths = [
+        path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]
+    ]
+    files = [
+        path.parent.resolve() / path.name for path in paths
+    ]  # not resolved: a link has its own item
     modules = dict.fromkeys(_module_of(file, config) for file in files)
-    added = [module for module in modules if not any(other in (module, *module.parents) for other in others)]
+    added = [
+        module
+        for module in modules
+        if not any(other in (module, *module.parents) for other in others)
+    ]
     config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]
     return set(files), set(added)
 
@@ -210,11 +228,20 @@ class Collection:
         self._config = config
         self._rootpath = config.rootpath
         call, is_given = call_of(config), config.args_source is pytest.Config.ArgsSource.ARGS
-        is_listed = any(arg.startswith("@") for arg in call)  # pytest has replaced it with the arguments in that file
-        config.stash[GIVEN] = [arg for arg in config.args if is_given and (is_listed or arg in call)]
+        is_listed = any(
+            arg.startswith("@") for arg in call
+        )  # pytest has replaced it with the arguments in that file
+        config.stash[GIVEN] = [
+            arg for arg in config.args if is_given and (is_listed or arg in call)
+        ]
         here = config.invocation_params.dir
-        if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR and here != config.rootpath:
-            config.stash[GIVEN] = [str(here)]  # pytest collects only the folder in which it was called
+        if (
+            config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR
+            and here != config.rootpath
+        ):
+            config.stash[GIVEN] = [
+                str(here)
+            ]  # pytest collects only the folder in which it was called
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
@@ -230,7 +257,9 @@ class Collection:
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
         corpus = Path(self._corpus_name or "")
-        return bool(corpus.name) and layout.is_corpus(folder, corpus) and folder not in self._asked_for
+        return (
+            bool(corpus.name) and layout.is_corpus(folder, corpus) and folder not in self._asked_for
+        )
 
     @cached_property
     def _corpus_name(self) -> str | None:
@@ -265,7 +294,9 @@ class Collection:
             return  # Only one item is left. It reports the error during its set-up.
         # The values differ, because other tools distinguish items by them. Nothing else reads them.
         saved = [
-            pytest.param(part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)])
+            pytest.param(
+                part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)]
+            )
             for each in self._saved_by_id(metafunc.definition)
         ]
         parametrize(RUN, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
@@ -318,11 +349,15 @@ class Collection:
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
             from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
 
-            item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
+            item.add_marker(
+                pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False
+            )
         return True
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
+    def pytest_collection_modifyitems(
+        self, items: list[pytest.Item]
+    ) -> Generator[None, None, None]:
         """Find marked tests that pytest does not collect, and drop items that were not requested."""
         if MARKED and not self._config.getoption("lf", False):
             self._inventory.unnamed.update(marked_and_left(self._config, items))
@@ -332,8 +367,15 @@ class Collection:
         # Under --lf, a search need not run again if its findings have become items in the meantime.
         if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
             failed = self._config.cache.get("cache/lastfailed", {})
-            known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
-            self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
+            known = {
+                base_id(item)
+                for item in items
+                if saved_of(item) is not None and item.nodeid in failed
+            }
+            self._deselect(
+                items,
+                lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known,
+            )
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
         # pytest-testmon also passes the names of tests.
@@ -342,13 +384,19 @@ class Collection:
         if files:
             from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
 
-            self._inventory.deselected.update(visible(layout.relative(file, self._rootpath)) for file in files)
+            self._inventory.deselected.update(
+                visible(layout.relative(file, self._rootpath)) for file in files
+            )
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
         saved = saved_of(item)
-        return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
+        return item.path in self._modules_for_them and (
+            saved is None or saved.path not in self._given_files
+        )
 
-    def _deselect(self, items: list[pytest.Item], is_dropped: Callable[[pytest.Item], bool]) -> None:
+    def _deselect(
+        self, items: list[pytest.Item], is_dropped: Callable[[pytest.Item], bool]
+    ) -> None:
         dropped = list(filter(is_dropped, items))
         if dropped:
             self._config.hook.pytest_deselected(items=dropped)
@@ -363,15 +411,24 @@ class Collection:
             return []
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
         # pytest rewrites the assertions of test files, conftest.py and plugins, so these assertions still run.
-        off = "" if __debug__ else "with python -O, Python skips assertions in modules that pytest does not rewrite"
+        off = (
+            ""
+            if __debug__
+            else "with python -O, Python skips assertions in modules that pytest does not rewrite"
+        )
         first = "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
-        cost = cost_line(self._config, [arguments_of(item) or {} for item in items if is_search(item)])
+        cost = cost_line(
+            self._config, [arguments_of(item) or {} for item in items if is_search(item)]
+        )
         return [first, *([cost] if cost else [])]
 
 
 def is_search(item: pytest.Item) -> bool:
     """Return whether an item is a search, not a replay."""
-    return item.get_closest_marker(SEARCH_MARK) is not None and item.get_closest_marker(SAVED_MARK) is None
+    return (
+        item.get_closest_marker(SEARCH_MARK) is not None
+        and item.get_closest_marker(SAVED_MARK) is None
+    )
 
 
 def saved_of(item: pytest.Item) -> Saved | None:
@@ -388,7 +445,9 @@ def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
     """Return whether the user has parametrised a test function with an argument."""
     for mark in metafunc.definition.iter_markers("parametrize"):
         names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
-        if arg in ([name.strip() for name in names.split(",")] if isinstance(names, str) else names):
+        if arg in (
+            [name.strip() for name in names.split(",")] if isinstance(names, str) else names
+        ):
             return True
     return False
 
@@ -407,7 +466,11 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
     for module, marked in list(MARKED.items()):
         file = Path(getattr(module, "__file__", None) or os.devnull)
         is_asked_for = any(map(file.is_relative_to, asked)) and file.is_relative_to(config.rootpath)
-        if sys.modules.get(module.__name__) is not module or not is_asked_for or "site-packages" in file.parts:
+        if (
+            sys.modules.get(module.__name__) is not module
+            or not is_asked_for
+            or "site-packages" in file.parts
+        ):
             continue
         for each in marked:
             name = each.__qualname__
@@ -430,7 +493,9 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     from pytest_pafot.support.text import visible  # noqa: PLC0415
 
     if not file.is_file():
-        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
+        raise pytest.UsageError(
+            f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist"
+        )
     corpus = value_if_right(config, "corpus")
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():

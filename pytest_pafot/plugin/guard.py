@@ -33,7 +33,16 @@ from pytest_pafot.corpus.layout import (
 from pytest_pafot.corpus.layout import (
     is_inside as is_inside_project,
 )
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of, value_if_right
+from pytest_pafot.plugin.session import (
+    GIVEN,
+    INVENTORY,
+    SESSION,
+    call_of,
+    cause_of,
+    first,
+    path_of,
+    value_if_right,
+)
 from pytest_pafot.report.session import ADVICE, UNNAMED_ADVICE
 from pytest_pafot.searches.options import BY_NAME, OF_COMMAND
 from pytest_pafot.support.errors import RequestError
@@ -47,8 +56,19 @@ UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 # Matches only a node id, because the match is printed, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
-_BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
-_FOREIGN = {FOUND, ".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
+_BY_NAME = re.compile(
+    r"-[lqsvx]*[km]|--deselect"
+)  # arguments that deselect tests by name; -qk is -q and -k
+_FOREIGN = {
+    FOUND,
+    ".git",
+    ".hg",
+    "__pycache__",
+    "node_modules",
+    "site-packages",
+    "vendor",
+    "third_party",
+}
 """Names of folders in which saved scenarios never belong to the project."""
 _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
 """Files and folders that mark a different repository or a virtual environment."""
@@ -58,7 +78,14 @@ _SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "tes
 """Options of pytest and its plugins that select only some of the tests."""
 
 
-_LISTING = ("collectonly", "setupplan", "setuponly", "showfixtures", "show_fixtures_per_test", "cacheshow")
+_LISTING = (
+    "collectonly",
+    "setupplan",
+    "setuponly",
+    "showfixtures",
+    "show_fixtures_per_test",
+    "cacheshow",
+)
 """Options with which pytest runs no test."""
 
 ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
@@ -88,7 +115,9 @@ class Guard:
         if report.failed or "pafot" in properties:
             self._run.add(str(properties.get("pafot_file", "")))
 
-    @pytest.hookimpl(wrapper=True, trylast=True)  # inside the hook in which pytest ends the line of its results
+    @pytest.hookimpl(
+        wrapper=True, trylast=True
+    )  # inside the hook in which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail a session with lost tests, after all items have run and all pytest-xdist workers have reported."""
         result = yield
@@ -100,7 +129,9 @@ class Guard:
             _report(session, UNNAMED_ID, counted, f"{UNNAMED_ADVICE}. {why}")
         self._note_left()
         if fails := self._session.fails:
-            counted = f"this session did not run {plural(len(fails), 'saved scenario')}: {first(fails)}"
+            counted = (
+                f"this session did not run {plural(len(fails), 'saved scenario')}: {first(fails)}"
+            )
             _report(
                 session,
                 ERROR_ID,
@@ -120,10 +151,17 @@ class Guard:
         # If the session runs no policy, its hooks may hide failures of tests.
         is_meant = inventory.driven or inventory.unnamed or self._session.left
         named = unended or (sorted(self._failed) if is_meant else [])
-        if not self.cause or session.exitstatus != pytest.ExitCode.OK or not named or _only_lists(self._config):
+        if (
+            not self.cause
+            or session.exitstatus != pytest.ExitCode.OK
+            or not named
+            or _only_lists(self._config)
+        ):
             return
         what = "did not finish" if unended else "failed"
-        session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
+        session.exitstatus = (
+            pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
+        )
         self._session.problems.append(
             f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. "
             f"Because {self.cause}, it ends with exit code {int(session.exitstatus)} instead. Does a test call "
@@ -137,13 +175,20 @@ class Guard:
         left = [pair for pair in sorted(self._left_out()) if not self._is_excluded(*pair)]
         values = (config.getoption(name, None) for name in _SELECTING)
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
-        may_fail = self._is_whole and self.cause and not is_partial and not value_if_right(config, "allow_orphans")
+        may_fail = (
+            self._is_whole
+            and self.cause
+            and not is_partial
+            and not value_if_right(config, "allow_orphans")
+        )
         names = [visible(relative(file, config.rootpath)) for file, _ in left]
         self._session.left, self._session.fails = names, names if may_fail else []
 
     def _is_excluded(self, *paths: Path) -> bool:
         config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
-        patterns = [each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()]
+        patterns = [
+            each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()
+        ]
         ignored = [
             str(path_of(config, each))
             for each in patterns
@@ -154,7 +199,9 @@ class Guard:
             return True
         # A file or a test on the command line excludes everything else. A folder requests all saved scenarios in it.
         folders = [folder for each in given if is_folder(folder := path_of(config, each))]
-        return bool(given) and not any(path.is_relative_to(folder) for folder in folders for path in paths)
+        return bool(given) and not any(
+            path.is_relative_to(folder) for folder in folders for path in paths
+        )
 
     def _left_out(self) -> Iterator[tuple[Path, Path]]:
         """Yield each saved scenario that was neither run nor deselected by name, with its test file.
@@ -163,10 +210,16 @@ class Guard:
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
-        known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}  # reported later
+        known = self._run | {
+            each.path for each in self._session.seen.values() if each.observed.new
+        }  # reported later
         known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
-        asked = [each for each in (path_of(self._config, each) for each in self._config.args) if is_folder(each)]
+        asked = [
+            each
+            for each in (path_of(self._config, each) for each in self._config.args)
+            if is_folder(each)
+        ]
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
         own += [corpus] if corpus.is_absolute() else []
         problems = self._session.problems if inventory.driven else []
@@ -174,31 +227,51 @@ class Guard:
         found = dict(_files_below(top, own, asked, corpus, problems))
         if self.cause and (inventory.driven or found):
             found.update(dict.fromkeys(_not_in_checkout(top, corpus), True))
-        left = {file: is_inside for file, is_inside in found.items() if visible(relative(file, top)) not in known}
+        left = {
+            file: is_inside
+            for file, is_inside in found.items()
+            if visible(relative(file, top)) not in known
+        }
         # Third, drop copies of scenarios that were run, and files that belong to other projects.
         names = {name_within(file.name) or file.name for file in left}
-        copies = {(Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names}
+        copies = {
+            (Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names
+        }
         for file, is_inside in left.items():
             test = _named_test(file)
             name = test.partition("::")[0]
-            is_named = file.name.endswith(SUFFIX) or (test and (is_misnamed(file.name) or name_within(file.name)))
+            is_named = file.name.endswith(SUFFIX) or (
+                test and (is_misnamed(file.name) or name_within(file.name))
+            )
             if is_inside:  # git may write a link to a folder as a text file
                 packed = _ARCHIVE.fullmatch(file.name)
                 is_text = "." not in file.name and file.name.startswith((CORPUS, "test"))
-                is_ours = packed is not None and (SUFFIX in packed[1] or packed[1].startswith((CORPUS, "test")))
-                is_packed = packed is not None and is_ours and not os.path.lexists(file.with_name(packed[1]))
+                is_ours = packed is not None and (
+                    SUFFIX in packed[1] or packed[1].startswith((CORPUS, "test"))
+                )
+                is_packed = (
+                    packed is not None
+                    and is_ours
+                    and not os.path.lexists(file.with_name(packed[1]))
+                )
                 is_saved = is_named or is_text or is_packed or not os.path.isfile(file)  # noqa: PTH113  (see is_folder)
             else:
                 is_saved = is_named and test and os.path.lexists(top / name)
             # In a corpus of the session, only a backup is a copy, because the folder determines the test of a file.
             may_be_copy = name_within(file.name) or not any(map(file.is_relative_to, own))
-            if not is_saved or (may_be_copy and (name_within(file.name) or file.name, test) in copies):
+            if not is_saved or (
+                may_be_copy and (name_within(file.name) or file.name, test) in copies
+            ):
                 continue
-            owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
+            owner = (
+                module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
+            )
             # The rootdir of the session that saved the file, which the name of the test implies. Vendored projects have
             # their own.
             project = next((each for each in owner.parents if name and each / name == owner), top)
-            is_asked_for = project == top or any(each.is_relative_to(project) for each in (*own, *asked))
+            is_asked_for = project == top or any(
+                each.is_relative_to(project) for each in (*own, *asked)
+            )
             if is_asked_for or not any(os.path.lexists(project / each) for each in _CONFIGURED):
                 yield file, owner
 
@@ -212,7 +285,9 @@ def _files_below(
     """
     # Links to folders are not followed, because they may lead anywhere. If a folder of a corpus cannot be listed, the
     # folder itself is yielded.
-    queue = deque([*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)])
+    queue = deque(
+        [*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)]
+    )
     starts, names = set(queue), {CORPUS, corpus.name}
     seen: set[tuple[str, bool]] = set()
     while queue and len(seen) < MAX_FOLDERS:
@@ -228,23 +303,33 @@ def _files_below(
             if is_inside and os.path.lexists(folder):
                 yield Path(folder), True
             continue
-        if not is_inside and place not in starts and not _SEPARATE.isdisjoint([entry.name for entry in entries]):
+        if (
+            not is_inside
+            and place not in starts
+            and not _SEPARATE.isdisjoint([entry.name for entry in entries])
+        ):
             continue
         for entry in entries:
             name, path = entry.name, entry.path
             if entry.is_dir(follow_symlinks=False):
-                is_below = is_inside or name == CORPUS or (name in names and is_corpus(Path(path), corpus))
+                is_below = (
+                    is_inside or name == CORPUS or (name in names and is_corpus(Path(path), corpus))
+                )
                 if is_below or name not in _FOREIGN:
                     queue.append((path, is_below))
             elif is_inside or "pafot" in name.lower():
                 file = Path(path)
-                if not is_folder(file):  # A corpus may be an archive, or a link that git wrote as a text file.
+                if not is_folder(
+                    file
+                ):  # A corpus may be an archive, or a link that git wrote as a text file.
                     yield file, is_inside or name.partition(".")[0] == CORPUS
                 elif name == CORPUS and file != corpus and not is_inside_project(file, top):
                     problems.append(refusal(file))
                     yield file, True
     if queue:
-        problems.append(f"the list of saved scenarios may be incomplete, as it covers only {MAX_FOLDERS:,} folders")
+        problems.append(
+            f"the list of saved scenarios may be incomplete, as it covers only {MAX_FOLDERS:,} folders"
+        )
 
 
 def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
@@ -257,10 +342,16 @@ def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
     with suppress(RequestError):  # no git
         for entry in git(top, "ls-files", "-s", "-z").split("\0"):
             place = top / entry.partition("\t")[2]
-            if entry.startswith("160000 ") and (place.name == CORPUS or corpus.is_relative_to(place)):
+            if entry.startswith("160000 ") and (
+                place.name == CORPUS or corpus.is_relative_to(place)
+            ):
                 if not entries_of(place):
                     yield place
-            elif entry.endswith(SUFFIX) and len(place.parents) > 2 and not os.path.lexists(root := place.parents[2]):
+            elif (
+                entry.endswith(SUFFIX)
+                and len(place.parents) > 2
+                and not os.path.lexists(root := place.parents[2])
+            ):
                 yield from [place] if root.name == CORPUS or is_corpus(root, corpus) else []
 
 

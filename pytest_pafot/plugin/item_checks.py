@@ -57,7 +57,9 @@ class Checks:
         arguments = arguments_of(item)
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
-            if item.get_closest_marker(ANY_MARK) is not None and RUN in getattr(item, "fixturenames", ()):
+            if item.get_closest_marker(ANY_MARK) is not None and RUN in getattr(
+                item, "fixturenames", ()
+            ):
                 pytest.fail(
                     f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}. This mark only "
                     f"selects tests, as in `pytest -m {ANY_MARK}`. Write `import pytest_pafot as pafot` and "
@@ -79,7 +81,10 @@ class Checks:
         if is_idle:
             option = BY_NAME["runs" if request.settings.runs == 0 else "generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten, unlike an option
-                messages.send(item, Note(f"no search ran, because {option.key} is 0 in the configuration file"))
+                messages.send(
+                    item,
+                    Note(f"no search ran, because {option.key} is 0 in the configuration file"),
+                )
             pytest.skip(f"{IDLE}: {flag(option.name, 0)}")
 
     @pytest.hookimpl(wrapper=True)
@@ -89,7 +94,12 @@ class Checks:
         """Explain the failure if the policy's fixture is missing, and report skipped items on CI."""
         report = yield
         request = item.stash.get(REQUEST, None)
-        if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
+        if (
+            call.when == "setup"
+            and report.outcome == "skipped"
+            and is_driven(item)
+            and is_ci(os.environ)
+        ):
             reason = visible(str(getattr(call.excinfo, "value", "")))
             if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
                 text = f"the policy of {base_id(item)} was not tested, because the test was skipped: {reason}"
@@ -97,10 +107,15 @@ class Checks:
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
         error = call.excinfo.value
-        if isinstance(error, pytest.FixtureLookupError) and error.argname in (request.ads, DEFAULT_ADS):
+        if isinstance(error, pytest.FixtureLookupError) and error.argname in (
+            request.ads,
+            DEFAULT_ADS,
+        ):
             message = getattr(report.longrepr, "errorstring", "")
             available = message.partition("available fixtures: ")[2].partition("\n")[0].split(", ")
-            report.longrepr = _missing_ads(str(error.argname), available, item.config.stash[SHARED].width)
+            report.longrepr = _missing_ads(
+                str(error.argname), available, item.config.stash[SHARED].width
+            )
         return report
 
 
@@ -139,7 +154,9 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
             f"expected a parameter {RUN!r} that receives the simulated run, received the parameters "
             f"({', '.join(names)}). Add it, as in `def {item.name.partition('[')[0]}({RUN})`"
         )
-    if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
+    if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(
+        item.originalname or ""
+    ):  # type: ignore[attr-defined]
         raise RequestError(
             f"expected the parameter {RUN!r} to be free for the simulated run, but the test is already parametrised "
             "with it. Rename the parameter"
@@ -168,7 +185,9 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
         "        return lambda: MyPlanner()    # a new policy for each scenario\n\n"
         'Or name another fixture with @pafot.search(ads="..."), or pass a factory: @pafot.search(ads=MyPlanner).'
     )
-    lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
+    lines = (
+        [line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines()
+    )
     return "\n".join(part for parts in lines for part in parts)
 
 
@@ -256,7 +275,9 @@ def _end(item: pytest.Item, thread: int) -> None:
     try:
         if not is_worker(item.config):
             with uncaptured(item.config):
-                _flush(item, "".join(traceback.format_stack(sys._current_frames()[thread])[-SHOWN:]))
+                _flush(
+                    item, "".join(traceback.format_stack(sys._current_frames()[thread])[-SHOWN:])
+                )
     finally:
         with suppress(Exception):
             sys.stdout.flush()
@@ -274,7 +295,10 @@ def _flush(item: pytest.Item, stack: str) -> None:
     report = report_on(item, "call", outcome="failed", longrepr=told)
     item.ihook.pytest_runtest_logreport(report=report)
     try:
-        pytest.exit(f"the policy or its environment hangs in {item.nodeid}. See the failure report", returncode=STATUS)
+        pytest.exit(
+            f"the policy or its environment hangs in {item.nodeid}. See the failure report",
+            returncode=STATUS,
+        )
     except pytest.exit.Exception:
         item.config.hook.pytest_keyboard_interrupt(excinfo=pytest.ExceptionInfo.from_current())
     item.session.exitstatus = STATUS
@@ -283,7 +307,10 @@ def _flush(item: pytest.Item, stack: str) -> None:
 
 def _real_stderr(config: pytest.Config) -> int | None:
     # faulthandler has only one timer, and pytest may use it for faulthandler_timeout.
-    if config.pluginmanager.has_plugin("faulthandler") and float(config.getini("faulthandler_timeout") or 0.0) > 0.0:
+    if (
+        config.pluginmanager.has_plugin("faulthandler")
+        and float(config.getini("faulthandler_timeout") or 0.0) > 0.0
+    ):
         return None
     with suppress(OSError), uncaptured(config):
         return os.dup(2)
@@ -300,7 +327,11 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     positional = given.pop(POSITIONAL, ())
     if positional:
         name = getattr(positional[0], "__name__", "")
-        example = "runs=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
+        example = (
+            "runs=20"
+            if not callable(positional[0])
+            else f"ads={name if name.isidentifier() else '...'}"
+        )
         raise RequestError(
             f"@pafot.search: expected only keyword arguments, received {positional!r:.200}. Write the argument's name, "
             f"as in @pafot.search({example})"

@@ -45,7 +45,13 @@ def send(item: pytest.Item, event: Event, **more: Any) -> None:
 
 
 def send_seen(
-    item: pytest.Item, settings: Settings, seen: Seen, *, check: Check | None = None, note: str = "", **more: Any
+    item: pytest.Item,
+    settings: Settings,
+    seen: Seen,
+    *,
+    check: Check | None = None,
+    note: str = "",
+    **more: Any,
 ) -> None:
     """Send a new or replayed finding to the controller.
 
@@ -60,7 +66,9 @@ def send_seen(
     sentences: tuple[str, ...] = ()
     if seen.headline and seen.run is not None:
         sentences = sentences_of(seen.run, seen.finding.expect)
-        if sentences and check is not None:  # The sentences are about the collision, not about the check.
+        if (
+            sentences and check is not None
+        ):  # The sentences are about the collision, not about the check.
             sentences = (f"{ALSO} {collision_in_short(seen.run)}.",)
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     # The view of the page is large, so it is created only if a page was requested.
@@ -86,9 +94,13 @@ class OfOneRun:
     """The properties that a test records with ``record_property`` in one run."""
 
     properties: Properties  # of the item
-    _shown: list[tuple[str, Any]] = field(default_factory=list)  # from the last call, also in `properties`
+    _shown: list[tuple[str, Any]] = field(
+        default_factory=list
+    )  # from the last call, also in `properties`
     # by trace, because a run may be replaced by one with the same trace and more facts
-    _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
+    _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(
+        default_factory=WeakKeyDictionary
+    )
 
     @contextmanager
     def call(self, run: Run) -> Iterator[None]:
@@ -107,7 +119,9 @@ class OfOneRun:
         """
         changed = self.properties if properties is None else properties
         shown = [] if run is None else self._recorded.get(run.trace, [])
-        ours = set(map(id, self._shown))  # by identity, because a fixture may have recorded an equal one before
+        ours = set(
+            map(id, self._shown)
+        )  # by identity, because a fixture may have recorded an equal one before
         changed[:] = [*(each for each in changed if id(each) not in ours), *shown]
         if properties is None:
             self._shown = shown
@@ -118,7 +132,11 @@ OF_ONE_RUN: pytest.StashKey[OfOneRun] = pytest.StashKey()
 
 def set_properties(properties: Properties, **values: object) -> None:
     """Set properties of an item or a report. Replace earlier values, and skip empty ones."""
-    names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
+    names = {
+        f"{PREFIX}{name}": visible(str(value))
+        for name, value in values.items()
+        if value not in (None, "")
+    }
     others = [each for each in properties if each[0] not in names]
     properties[:] = [*others, *names.items()]
 
@@ -126,7 +144,9 @@ def set_properties(properties: Properties, **values: object) -> None:
 def set_saved_properties(item: pytest.Item, saved: Saved) -> None:
     """Add the seed, id, signature and file of a saved scenario to the item's properties."""
     finding, file = saved.finding, relative(saved.path, item.config.rootpath)
-    seed, signature = (None, None) if finding is None else (finding.found.seed, finding.signature.text)
+    seed, signature = (
+        (None, None) if finding is None else (finding.found.seed, finding.signature.text)
+    )
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
@@ -160,18 +180,26 @@ class KeptOutput:
 
     def __init__(self, item: pytest.Item) -> None:
         self._item = item
-        self._capture = item.config.pluginmanager.get_plugin("capturemanager")  # None if another plugin replaces it
+        self._capture = item.config.pluginmanager.get_plugin(
+            "capturemanager"
+        )  # None if another plugin replaces it
         self._process = getpid()
         # pytest keeps the output of each item until the session ends, and a policy that prints at each decision prints
         # gigabytes. So only the start and the end are kept.
-        self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # start, end, characters between them
+        self._texts = {
+            "stdout": ("", "", 0),
+            "stderr": ("", "", 0),
+        }  # start, end, characters between them
 
     def read(self) -> None:
         if self._capture is None or getpid() != self._process:
             return  # This process was forked. The original process reads the file, to which both write.
         for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
             begin, end, left_out = self._texts[key]
-            begin, end = begin + text[: OUTPUT_END - len(begin)], end + text[OUTPUT_END - len(begin) :]
+            begin, end = (
+                begin + text[: OUTPUT_END - len(begin)],
+                end + text[OUTPUT_END - len(begin) :],
+            )
             too_long = max(0, len(end) - 2 * OUTPUT_END)
             self._texts[key] = begin, end[too_long:], left_out + too_long
 
@@ -202,7 +230,9 @@ class Failures:
             output.give_back()
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, Any, Any]:
         marked = is_driven(item)
         if call.excinfo is None or not marked:
             report = yield
@@ -210,8 +240,13 @@ class Failures:
                 _shorten_output(report)
             return report
         # A search may find dozens of failures, and pytest prints each several times. With -v, frames are complete.
-        option, is_brief = item.config.option, item.config.get_verbosity() <= 0  # the saved file has the rest
-        style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
+        option, is_brief = (
+            item.config.option,
+            item.config.get_verbosity() <= 0,
+        )  # the saved file has the rest
+        style = getattr(
+            option, "tbstyle", None
+        )  # declared by pytest's terminal plugin, which may be off
         if is_brief and call.when == "call" and style == "auto":
             option.tbstyle = "short"
         try:
@@ -224,7 +259,11 @@ class Failures:
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
             _count_unless_accepted(item, saved, report)
         if saved is not None:
-            entry = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
+            entry = {
+                "id": saved.id,
+                "file": relative(saved.path, item.config.rootpath),
+                "test": base_id(item),
+            }
             setattr(report, AS_SAVED, json.dumps(entry))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width)
@@ -235,7 +274,10 @@ def _shorten_output(report: pytest.TestReport) -> None:
     for number, (title, text) in enumerate(report.sections):
         left_out = len(text) - 2 * OUTPUT_END
         if left_out > OUTPUT_END:
-            report.sections[number] = (title, _shortened(text[:OUTPUT_END], text[-OUTPUT_END:], left_out))
+            report.sections[number] = (
+                title,
+                _shortened(text[:OUTPUT_END], text[-OUTPUT_END:], left_out),
+            )
 
 
 def _shortened(begin: str, end: str, left_out: int) -> str:
@@ -268,10 +310,16 @@ def _make_visible(report: pytest.TestReport) -> None:
 
 def _fit(longrepr: Any, width: int) -> None:
     """Wrap the lines of a failure message, except for code, and escape unprintable characters."""
-    tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
+    tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [
+        getattr(longrepr, "reprtraceback", None)
+    ]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
         lines = [_COLOUR.sub("", line) for line in entry.lines]
-        code = [] if entry.style == "value" else list(takewhile(lambda line: not line.startswith(MARKER), lines))
+        code = (
+            []
+            if entry.style == "value"
+            else list(takewhile(lambda line: not line.startswith(MARKER), lines))
+        )
         entry.lines = [*map(visible_lines, code), *fitted_lines(lines[len(code) :], width)]
         for values in filter(None, [getattr(entry, "reprlocals", None)]):
             values.lines = list(map(visible_lines, values.lines))

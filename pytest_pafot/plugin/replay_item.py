@@ -54,7 +54,9 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if now.run is not None and (why := now.run.trace.users_error_text):
-        pytest.fail(f"the replay cannot show whether the policy drives well: {visible(why)}", pytrace=False)
+        pytest.fail(
+            f"the replay cannot show whether the policy drives well: {visible(why)}", pytrace=False
+        )
     if now.run is not None:
         _check_set_up(item, replays, saved, *now.ran)
     raised = None if now.verdict is None else now.verdict.exception
@@ -78,7 +80,12 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding.xfail is not None and not now.fails:
         # A flaky scenario stays accepted, because it may have passed by chance.
         if not now.is_unsteady:
-            _add_section(item, [f"It did not fail ({sighting.label}). Remove the line `xfail:` from {sighting.path}"])
+            _add_section(
+                item,
+                [
+                    f"It did not fail ({sighting.label}). Remove the line `xfail:` from {sighting.path}"
+                ],
+            )
         elif now.is_accepted:
             pytest.xfail(f"{visible(finding.xfail)}; flaky: it passed this time")
     if not now.fails or raised is None:
@@ -92,21 +99,35 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
     """Describe the differences between a replay and the file, and the reference's result."""
     name, reference = replays.harness.against_name, now.reference_passes
-    outcome = {None: "compared with {}", True: "the reference {} passes", False: "the reference {} fails"}[reference]
+    outcome = {
+        None: "compared with {}",
+        True: "the reference {} passes",
+        False: "the reference {} fails",
+    }[reference]
     notes = [outcome.format(name) if name else ""]
     if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
-        missed = "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
-        return "; ".join(filter(None, [missed, replays.changes(finding, happening), *notes, now.note]))
+        missed = (
+            "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
+        )
+        return "; ".join(
+            filter(None, [missed, replays.changes(finding, happening), *notes, now.note])
+        )
     if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
         notes.append(f"it became worse: it {now.verdict.worsening}")
     # A collision with the same vehicle is the same failure at any time, so the note states the new time.
     is_first = now.fails and not now.is_later and now.rate is None
-    if is_first and now.run is not None and abs(now.run.event_time - finding.expect.time) > SAME_TIME:
+    if (
+        is_first
+        and now.run is not None
+        and abs(now.run.event_time - finding.expect.time) > SAME_TIME
+    ):
         notes.append(event_change(finding, happening))
     return "; ".join(filter(None, [now.note, *notes, *replays.setting_changes(finding)]))
 
 
-def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
+def _check_set_up(
+    item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict
+) -> None:
     """Fail the item if an error in the set-up causes its failure. Only a test's first such item explains the error."""
     __tracebackhide__ = True
     cause, finding = cause_of(run, verdict), saved.finding
@@ -114,7 +135,10 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
         return
     if is_same_failure(finding, run, verdict.failure):  # this is the saved failure
         return
-    key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
+    key, faults = (
+        (collection.base_id(item), cause),
+        item.session.stash.setdefault(SET_UP_FAULTS, {}),
+    )
     line = ascii_text(headline(run, verdict))
     if key in faults:
         text = f"{line}\nThe cause is an error in the set-up. See the failure of {faults[key]}."
@@ -130,7 +154,13 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
 
 
 def _send(
-    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, now: Observed, headline: str, detail: str
+    item: pytest.Function,
+    replays: Replays,
+    saved: Saved,
+    finding: Finding,
+    now: Observed,
+    headline: str,
+    detail: str,
 ) -> Seen:
     path, verdict = relative(saved.path, replays.harness.root), now.verdict
     reference = None if verdict is None else verdict.reference
@@ -140,7 +170,9 @@ def _send(
         severity=None if verdict is None else verdict.severity,
         before=None if reference is None else reference.severity,
     )
-    sighting = Seen(finding=finding, node_id=item.nodeid, test=collection.base_id(item), observed=observed)
+    sighting = Seen(
+        finding=finding, node_id=item.nodeid, test=collection.base_id(item), observed=observed
+    )
     sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")
@@ -159,7 +191,9 @@ def _send(
 
 
 def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
-    item.add_report_section("call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width)))
+    item.add_report_section(
+        "call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width))
+    )
 
 
 def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
@@ -173,7 +207,9 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
         text = f"the saved scenario passes, but its run drifted, and {flag('strict_drift')} is set: {visible(detail)}"
         pytest.fail(text, pytrace=False)
     if verdict.kind == "invalid":
-        pytest.skip(f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested")
+        pytest.skip(
+            f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested"
+        )
 
 
 # The debugger in the decision of a policy that could have avoided a failure, for ``--pafot-debug``.
@@ -207,9 +243,13 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     __tracebackhide__ = True
     name, finding = flag("debug"), saved.finding
     if is_worker(item.config):
-        raise RequestError(f"{name}: expected a session in one process, received a worker of pytest-xdist. Remove -n")
+        raise RequestError(
+            f"{name}: expected a session in one process, received a worker of pytest-xdist. Remove -n"
+        )
     if finding is None or replays.harness.policy.drives_itself:
-        raise RequestError(f"{name}: expected a policy that decides, received a vehicle class without decisions")
+        raise RequestError(
+            f"{name}: expected a policy that decides, received a vehicle class without decisions"
+        )
     if finding.expect.is_crash:
         raise RequestError(
             f"{name}: expected a policy that survives this scenario, but its process dies. See its output"
@@ -218,7 +258,10 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     # The first run finds the decision. The second one stops there, without a time limit.
     run, verdict = replays.tried(saved, world, item.nodeid)
     if not verdict.failed:
-        messages.send(item, Note(f"{name} did not start a debugger, because the saved scenario {saved.id} passes"))
+        messages.send(
+            item,
+            Note(f"{name} did not start a debugger, because the saved scenario {saved.id} passes"),
+        )
         return
     number = deciding(run, finding.expect)
     if number is None:

@@ -61,7 +61,10 @@ class Files:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write all files, even if the session was interrupted."""
         self._session.exit = exit_code(session)
-        target, asked = value_if_right(self._config, "report"), self._config.getoption(BY_NAME["report"].key)
+        target, asked = (
+            value_if_right(self._config, "report"),
+            self._config.getoption(BY_NAME["report"].key),
+        )
         if target is not None and (self._session.seen or self._session.ended):
             with self._session.faults(f"{flag('report', target)}: the page was not written"):
                 self._write_page(target)
@@ -70,7 +73,11 @@ class Files:
             self._session.problems.append(problem)
         self.write_json()
         path, of = os.environ.get(SUMMARY), self._session
-        if not path or self._is_listed or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left)):
+        if (
+            not path
+            or self._is_listed
+            or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left))
+        ):
             return  # No modules are imported for an empty summary.
         with of.faults(f"{SUMMARY}: the summary was not written"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
@@ -79,7 +86,9 @@ class Files:
             file = self._config.invocation_params.dir / path
             text = markdown(of, page=asked or "")
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
-            of.problems += [f"{SUMMARY}={path}: the summary was not written: {problem}"] if problem else []
+            of.problems += (
+                [f"{SUMMARY}={path}: the summary was not written: {problem}"] if problem else []
+            )
 
     def _write_page(self, target: str) -> None:
         from pytest_pafot.report.page import render_page  # noqa: PLC0415
@@ -88,9 +97,18 @@ class Files:
         path = Path(os.path.normpath(self._config.invocation_params.dir / target))
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
-        problem = not_written(self._config, target, path.parent, lambda: write_whole(path, page.encode()))
-        lines, name = self._session.problems if problem else self._session.written, flag("report", target)
-        lines.append(f"{name}: the page was not written: {problem}" if problem else f"report: {target} ({told})")
+        problem = not_written(
+            self._config, target, path.parent, lambda: write_whole(path, page.encode())
+        )
+        lines, name = (
+            self._session.problems if problem else self._session.written,
+            flag("report", target),
+        )
+        lines.append(
+            f"{name}: the page was not written: {problem}"
+            if problem
+            else f"report: {target} ({told})"
+        )
 
     def write_json(self) -> None:
         """Write the JSON file, except shortly after a slow write during the session."""
@@ -105,14 +123,21 @@ class Files:
             return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
-        problem = not_written(self._config, self._json, path.parent, lambda: write_whole(path, text))
+        problem = not_written(
+            self._config, self._json, path.parent, lambda: write_whole(path, text)
+        )
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
         if is_over:  # Report a problem only once, at the end.
-            lines, name = self._session.problems if problem else self._session.written, flag("json", self._json)
-            lines.append(f"{name}: the file was not written: {problem}" if problem else f"json: {self._json}")
+            lines, name = (
+                self._session.problems if problem else self._session.written,
+                flag("json", self._json),
+            )
+            lines.append(
+                f"{name}: the file was not written: {problem}" if problem else f"json: {self._json}"
+            )
 
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
@@ -134,7 +159,9 @@ class LiveTerminal:
         """True if the progress line can be overwritten."""
         if self.writer is None or self.is_parallel:
             return False
-        is_terminal = self.writer.isatty  # an attribute in earlier versions of pytest, a method in later versions
+        is_terminal = (
+            self.writer.isatty
+        )  # an attribute in earlier versions of pytest, a method in later versions
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
@@ -163,7 +190,9 @@ class LiveTerminal:
             return
         with uncaptured(self._config):
             self.writer.ensure_newline()
-            if self._config.get_terminal_writer().width_of_current_line:  # pytest-xdist leaves the line of dots open
+            if (
+                self._config.get_terminal_writer().width_of_current_line
+            ):  # pytest-xdist leaves the line of dots open
                 self.writer.line("")
             for line in lines:
                 self.writer.write_line(ascii_text(line))
@@ -188,7 +217,9 @@ class Reporter:
         self._expanded: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
+    def pytest_runtest_logreport(
+        self, report: pytest.TestReport
+    ) -> Generator[None, object, object]:
         """Record the reports on items, and print a search's findings after its teardown."""
         message = getattr(report, "pafot") if report.when == PHASE else None  # noqa: B009
         if message is None:
@@ -214,10 +245,15 @@ class Reporter:
         from pytest_pafot.searches.events import Ending  # noqa: PLC0415
 
         # Three cases: pytest's text and the block, only the block, or no text for a search whose findings have blocks.
-        search, seen = self._record.searches.get(report.nodeid), self._record.seen.get(report.nodeid)
+        search, seen = (
+            self._record.searches.get(report.nodeid),
+            self._record.seen.get(report.nodeid),
+        )
         option, is_whole = self._config.option, self._config.get_verbosity() > 0
         if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
-            report.__dict__["_pdbshown"] = True  # pytest's mark for a failure that needs no text at the end
+            report.__dict__["_pdbshown"] = (
+                True  # pytest's mark for a failure that needs no text at the end
+            )
         if seen is None or not seen.headline:
             return
         crash: Any = getattr(report.longrepr, "reprcrash", None)
@@ -235,7 +271,11 @@ class Reporter:
         )
         longrepr: Any = report.longrepr
         traceback = getattr(longrepr, "reprtraceback", None)
-        if is_whole or getattr(option, "showlocals", False) or getattr(option, "tbstyle", "auto") != "auto":
+        if (
+            is_whole
+            or getattr(option, "showlocals", False)
+            or getattr(option, "tbstyle", "auto") != "auto"
+        ):
             report.sections.append(("pafot", "\n".join(lines)))
         elif traceback is None or not traceback.reprentries:
             report.longrepr = "\n".join(lines)
@@ -248,7 +288,9 @@ class Reporter:
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         node_id, record, when = report.nodeid, self._record, str(report.when)
-        if when == "???":  # pytest-xdist: the worker died, so the item has no result and sends no events
+        if (
+            when == "???"
+        ):  # pytest-xdist: the worker died, so the item has no result and sends no events
             record.reasons.setdefault(node_id, str(report.longrepr))
             return
         if SEARCH_MARK not in report.keywords:
@@ -256,13 +298,29 @@ class Reporter:
         if when == "call" or not report.passed:  # A passed set-up is not a result yet.
             result = "failed" if when == "call" else "error"
             if not report.failed:
-                result = "passed" if not report.skipped else "xfailed" if hasattr(report, "wasxfail") else "skipped"
-            record.results[node_id] = max(record.results.get(node_id, ""), result, key=RESULTS.index)
+                result = (
+                    "passed"
+                    if not report.skipped
+                    else "xfailed"
+                    if hasattr(report, "wasxfail")
+                    else "skipped"
+                )
+            record.results[node_id] = max(
+                record.results.get(node_id, ""), result, key=RESULTS.index
+            )
         if report.failed:
             crash = getattr(report.longrepr, "reprcrash", None)
-            text = report.longreprtext if crash is None else str(crash.message).removeprefix("Failed: ")
+            text = (
+                report.longreprtext
+                if crash is None
+                else str(crash.message).removeprefix("Failed: ")
+            )
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
-            saved = json.loads(getattr(report, AS_SAVED, "{}")) if SAVED_MARK in report.keywords else None
+            saved = (
+                json.loads(getattr(report, AS_SAVED, "{}"))
+                if SAVED_MARK in report.keywords
+                else None
+            )
             record.add_failure(node_id, when, report.longreprtext, reason, saved=saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -273,11 +331,15 @@ class Reporter:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
         if named := ", ".join(self._record.incomparable):
-            raise pytest.UsageError(f"the policy cannot be compared with its reference. See {named}")
+            raise pytest.UsageError(
+                f"the policy cannot be compared with its reference. See {named}"
+            )
         return result
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
+    def pytest_report_teststatus(
+        self, report: pytest.TestReport | pytest.CollectReport
+    ) -> tuple[str, str, str] | None:
         """Return the status that pytest shows for a passing replay."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
@@ -299,7 +361,14 @@ class Reporter:
         """Write the plugin's section of the summary."""
         own, record = Session(), self._record
         record.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
-        said = (record.unnamed, record.left, record.notes, record.warnings, record.problems, record.written)
+        said = (
+            record.unnamed,
+            record.left,
+            record.notes,
+            record.warnings,
+            record.problems,
+            record.written,
+        )
         if not any((record.is_driven, *said)):
             return
         with own.faults("pafot: the summary was not printed"):
@@ -328,7 +397,11 @@ class Reporter:
             case Search() if not event.reason:
                 # Under pytest-xdist, no line about the collection is printed, but the user needs the seed even if the
                 # session ends early.
-                if self._live.is_parallel and len(record.searches) == 1 and self._config.get_verbosity() >= 0:
+                if (
+                    self._live.is_parallel
+                    and len(record.searches) == 1
+                    and self._config.get_verbosity() >= 0
+                ):
                     base = base_line(self._config)
                     self._live.write([f"pafot: {base}"] if base else [])
             case Search():
@@ -357,7 +430,9 @@ class Reporter:
         for seen in terminal.ranked([self._record.seen[node_id] for node_id in pending]):
             data, node = pending[seen.node_id]
             self._expanded.add(seen.node_id)
-            report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
+            report = self._config.hook.pytest_report_from_serializable(
+                config=self._config, data=data
+            )
             if self._session is not None:
                 self._session.testscollected += 1
             given = {"keywords": report.keywords, "user_properties": report.user_properties}

@@ -16,14 +16,27 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.algorithms.evaluation import GenerationFinished
-from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
+from pytest_pafot.corpus.layout import (
+    SUFFIX,
+    chosen_folder,
+    files_in,
+    folder_of_test,
+    link_below,
+    refusal,
+)
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.runner import ExecutionError
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import CheckFailed
 from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.collection import COLLECTED, REQUEST, RUN
-from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, finding_properties, set_properties
+from pytest_pafot.plugin.messages import (
+    OF_ONE_RUN,
+    OUTPUT,
+    OfOneRun,
+    finding_properties,
+    set_properties,
+)
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
@@ -35,7 +48,14 @@ from pytest_pafot.searches.events import (
     SearchEvent,
     SearchStarted,
 )
-from pytest_pafot.searches.harness import Harness, PlainFailure, Test, checked_factory, reference_of, source_file
+from pytest_pafot.searches.harness import (
+    Harness,
+    PlainFailure,
+    Test,
+    checked_factory,
+    reference_of,
+    source_file,
+)
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, Settings
 from pytest_pafot.searches.replays import Replays
 from pytest_pafot.searches.request import Request, build_world
@@ -62,7 +82,9 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
 """The workers for ``--pafot-dask``, or the error from a failed connection."""
 
-IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
+IN_WORKER = (
+    f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
+)
 
 
 OF_SUITE = "record_testsuite_property"
@@ -91,7 +113,9 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     against = request.settings.against
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
-    if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
+    if (
+        link is None and folder not in tidied
+    ):  # once per session: listing thousands of files takes as long as a replay
         tidied.add(folder)
         remove_unfinished(folder)
     # A search that saves nothing may read through a link.
@@ -114,7 +138,9 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_of(item.config.rootpath),
         root=item.config.rootpath,
         versions=installed_versions(world.packages),
-        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
+        against=reference_of(
+            against, lambda name: checked_factory(item.funcargs[name], name), policy
+        ),
         cluster=_cluster_of(item.config),
         needs_only_run=_needs_only_run(item),
     )
@@ -164,7 +190,10 @@ def bound_test(item: pytest.Function) -> Test:
         RequestError: if a fixture collects failures instead of raising them, or works in only one call.
     """
     for name, value in item.funcargs.items():
-        if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
+        if (
+            isinstance(value, pytest.Subtests)
+            or type(value).__module__.partition(".")[0] == "pytest_subtests"
+        ):
             raise RequestError(_no_collecting(f"the fixture {name!r}"))
         package = type(value).__module__.partition(".")[0]
         if package in OF_ONE_CALL:
@@ -201,7 +230,9 @@ def _needs_only_run(item: pytest.Function) -> bool:
     """Return whether the test function takes only the run, so that forked processes can evaluate runs."""
     # Other fixtures may store something in this process. A debugger and pytest-check also need all runs in this
     # process.
-    is_plain = set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
+    is_plain = (
+        set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
+    )
     return is_plain and not item.config.getoption("usepdb", False)
 
 
@@ -254,10 +285,18 @@ def run_search(item: pytest.Function, request: Request) -> None:
         pytest.fail(terminal.failure_message(summary), pytrace=False)
     # Each failure needs an item that fails for it. A file saved after the collection has no item in this session.
     here = item.config.stash[COLLECTED].get(harness.folder, {})
-    late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
-    alike = [f"{plural(summary.known[id_], 'run')} failed like {id_}" for id_ in late if id_ in summary.known]
+    late = [
+        file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here
+    ]
+    alike = [
+        f"{plural(summary.known[id_], 'run')} failed like {id_}"
+        for id_ in late
+        if id_ in summary.known
+    ]
     if alike:
-        _fail(item, "run pytest again, because these failures were saved after the collection", alike)
+        _fail(
+            item, "run pytest again, because these failures were saved after the collection", alike
+        )
     if summary.reason is Ending.REPLAYS:
         return
     if result.skip is not None:
@@ -265,7 +304,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
     if result.is_vacuous:
         _fail(item, "the search tested too little", summary.warnings)
     if summary.warnings and settings.strict_health:
-        _fail(item, f"{flag('strict_health')} is set, and this search has warnings", summary.warnings)
+        _fail(
+            item, f"{flag('strict_health')} is set, and this search has warnings", summary.warnings
+        )
 
 
 def exception_for_pytest(exception: BaseException) -> BaseException:
@@ -280,15 +321,24 @@ class SearchMessages:
 
     item: pytest.Function
     settings: Settings
-    sent: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
+    sent: dict[str, Seen] = field(
+        default_factory=dict
+    )  # the findings so far, by id, as they were last sent
 
     def send(self, event: SearchEvent) -> None:
         if isinstance(event, SearchStarted):
             set_properties(self.item.user_properties, seed=event.seed, base_seed=self.settings.seed)
-            asked = {name: most for name in BUDGETS if (most := getattr(self.settings, name)) is not None}
+            asked = {
+                name: most for name in BUDGETS if (most := getattr(self.settings, name)) is not None
+            }
             node_id, base_seed = self.item.nodeid, self.settings.seed
-            messages.send(self.item, Search(node_id=node_id, seed=event.seed, base_seed=base_seed, asked=asked))
-        elif isinstance(event, GenerationFinished):  # its runs may have been evaluated in other processes
+            messages.send(
+                self.item,
+                Search(node_id=node_id, seed=event.seed, base_seed=base_seed, asked=asked),
+            )
+        elif isinstance(
+            event, GenerationFinished
+        ):  # its runs may have been evaluated in other processes
             self.item.stash[OUTPUT].read()
         elif isinstance(event, Seen):
             self._send_finding(event)
@@ -328,7 +378,9 @@ def _report(item: pytest.Item, seen: Seen) -> dict[str, Any]:
     report.location = (*report.location[:2], collection.saved_name(item, seen.id))
     item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
     set_properties(report.user_properties, **finding_properties([seen]))
-    data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
+    data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(
+        config=item.config, report=report
+    )
     return data
 
 

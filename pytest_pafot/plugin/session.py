@@ -24,7 +24,11 @@ from pytest_pafot.report.session import Session
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.support.errors import RequestError, flag
 
-_INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
+_INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {
+    "integer": "int",
+    "seconds": "float",
+    "switch": "bool",
+}
 """The types of ini keys that are not strings, by kind of option."""
 _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
 """A pattern for the value in pytest's error message about an ini key."""
@@ -32,7 +36,9 @@ _LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
 
 def add_options(parser: pytest.Parser) -> None:
     """Declare all options of the plugin to pytest."""
-    group = parser.getgroup("pafot", "search for traffic in which a driving policy crashes (pytest-pafot)")
+    group = parser.getgroup(
+        "pafot", "search for traffic in which a driving policy crashes (pytest-pafot)"
+    )
     for option in OPTIONS:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
@@ -40,7 +46,9 @@ def add_options(parser: pytest.Parser) -> None:
         group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
         if option.everywhere:
             text = f"Same as {option.flag}."
-            parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)
+            parser.addini(
+                option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None
+            )
 
 
 def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
@@ -49,15 +57,21 @@ def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
     Raises:
         RequestError: if a value is invalid. The message names its source.
     """
-    for option in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
+    for (
+        option
+    ) in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
         if option.is_argument:
             _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
-    values = {option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere}
+    values = {
+        option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere
+    }
     # The first source that sets a budget decides both.
     budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
     given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
     # A number of generations selects the paper's algorithm, even if an earlier source sets the number of runs.
-    values["algorithm"] = values["algorithm"] or ("pafot" if any(budget[1] for budget in budgets) else None)
+    values["algorithm"] = values["algorithm"] or (
+        "pafot" if any(budget[1] for budget in budgets) else None
+    )
     return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
 
 
@@ -67,7 +81,9 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
     Raises:
         RequestError: if the value is invalid. The message names its source.
     """
-    return next((value for value in _values(config, option, marker) if value is not None), option.default)
+    return next(
+        (value for value in _values(config, option, marker) if value is not None), option.default
+    )
 
 
 def value_if_right(config: pytest.Config, name: str) -> Any:
@@ -132,18 +148,29 @@ class Inventory(NamedTuple):
 
 def first(names: Sequence[str]) -> str:
     """Return a list of the first five names, and the number of the remaining names."""
-    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+    return ", ".join(names[:LISTED]) + (
+        f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    )
 
 
 def cause_of(config: pytest.Config) -> str:
     """Return the reason why a session must fail if something was not tested, or an empty string."""
     strict = BY_NAME["strict_health"]
-    return "CI is set" if is_ci(os.environ) else f"{strict.flag} is set" if value_if_right(config, strict.name) else ""
+    return (
+        "CI is set"
+        if is_ci(os.environ)
+        else f"{strict.flag} is set"
+        if value_if_right(config, strict.name)
+        else ""
+    )
 
 
 def call_of(config: pytest.Config) -> list[str]:
     """Return pytest's command-line arguments, without those from its configuration file."""
-    return [*map(str, config.invocation_params.args), *shlex.split(os.environ.get("PYTEST_ADDOPTS", ""))]
+    return [
+        *map(str, config.invocation_params.args),
+        *shlex.split(os.environ.get("PYTEST_ADDOPTS", "")),
+    ]
 
 
 def path_of(config: pytest.Config, arg: str) -> Path:
@@ -162,7 +189,9 @@ SESSION = pytest.StashKey[Session]()
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
     """Return a context in which a test's output reaches the terminal."""
     manager = config.pluginmanager.get_plugin("capturemanager")
-    silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
+    silent: AbstractContextManager[None] = (
+        nullcontext() if manager is None else manager.global_and_fixture_disabled()
+    )
     return silent
 
 
@@ -187,8 +216,13 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
         except RequestError:  # the search itself reports it
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
-    counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
-    return counts and f"pafot: at most {counts}. Analysing failures roughly doubles the number of decisions"
+    counts = " and ".join(
+        f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count
+    )
+    return (
+        counts
+        and f"pafot: at most {counts}. Analysing failures roughly doubles the number of decisions"
+    )
 
 
 def stale_day(asked: str, today: date) -> list[str]:
@@ -228,13 +262,21 @@ def guard_exits(config: pytest.Config) -> None:
     def end(name: str, /, *given: Any, **named: Any) -> None:
         # Before the collection, only _exit is an error: a conftest.py may call exec to restart pytest.
         is_early = name == "_exit" and not getattr(plugins.get_plugin("session"), "items", ())
-        if getpid() == owner and not is_worker(config) and (is_early or plugins.has_plugin("pafot-messages")):
+        if (
+            getpid() == owner
+            and not is_worker(config)
+            and (is_early or plugins.has_plugin("pafot-messages"))
+        ):
             if not code():
                 caller = traceback.format_stack(limit=2)[0].strip()
                 with uncaptured(config):
-                    note = f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
+                    note = (
+                        f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
+                    )
                     print(f"\n{note}\n  {caller}", flush=True)
-            if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:  # os.abort has no status
+            if (
+                name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0
+            ):  # os.abort has no status
                 own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
         own[name](*given, **named)
 
@@ -314,7 +356,9 @@ class Messages:
             return (yield)
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
+    def pytest_report_teststatus(
+        self, report: pytest.TestReport | pytest.CollectReport
+    ) -> tuple[str, str, str] | None:
         """Hide messages from pytest's results."""
         return ("", "", "") if getattr(report, "when", None) == PHASE else None
 
@@ -322,4 +366,6 @@ class Messages:
 def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
     """Return a report on one phase of an item, by default a passed phase."""
     passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
-    return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})
+    return pytest.TestReport(
+        **{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given}
+    )

@@ -54,7 +54,9 @@ def sb3(
     )
 
 
-def process(command: Sequence[str], *, keep: bool = True, timeout: float | None = None) -> ProgramLoader:
+def process(
+    command: Sequence[str], *, keep: bool = True, timeout: float | None = None
+) -> ProgramLoader:
     """Make an ADS factory from a program, which reads a line of JSON per observation and writes one per decision.
 
     Each process that simulates starts its own program. Programs are not available on Windows.
@@ -71,6 +73,10 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
 
     if isinstance(command, (str, bytes, os.PathLike)) or not command:
         words = command.split() if isinstance(command, str) else [command]
-        example = f"write process({words!r})" if command else 'name the program, as in process(["./planner"])'
+        example = (
+            f"write process({words!r})"
+            if command
+            else 'name the program, as in process(["./planner"])'
+        )
         raise refused_policy("a program and its arguments in a list", repr(command), example)
     return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

@@ -48,7 +48,9 @@ TRAINING_PARAMETERS = {
 }
 
 
-MOST_LOADED_MODELS = 8  # models that stay loaded in a process, so that each run gets its ADS without a delay
+MOST_LOADED_MODELS = (
+    8  # models that stay loaded in a process, so that each run gets its ADS without a delay
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,11 @@ class Sb3Policy:
 
     def __post_init__(self) -> None:
         if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
-            raise refused("a frame_stack of 1 or more", repr(self.frame_stack), "use the same number as in training")
+            raise refused(
+                "a frame_stack of 1 or more",
+                repr(self.frame_stack),
+                "use the same number as in training",
+            )
 
     @functools.cached_property
     def loading_hint(self) -> str:
@@ -74,7 +80,9 @@ class Sb3Policy:
             return ""
 
     def preload(self) -> None:
-        _ = self.loaded  # forked processes inherit the model and its libraries, which take seconds to load
+        _ = (
+            self.loaded
+        )  # forked processes inherit the model and its libraries, which take seconds to load
 
     @functools.cached_property
     def loaded(self) -> BaselineModel:
@@ -103,13 +111,21 @@ class Sb3Policy:
             marks = {*zipped, *module.split(".")}
             name = next((name for mark, name in ALGORITHM_MARKS.items() if mark in marks), None)
         if name is None:
-            raise refused("a zip of a known algorithm", str(self.file), 'name the algorithm, as in algorithm="PPO"')
+            raise refused(
+                "a zip of a known algorithm",
+                str(self.file),
+                'name the algorithm, as in algorithm="PPO"',
+            )
         if not isinstance(name, str):
             return name
         own = getattr(_library("stable_baselines3"), name, None)
         found = own or getattr(_library("sb3_contrib"), name, None)
         if found is None:
-            raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "pass the class instead")
+            raise refused(
+                "an algorithm of stable_baselines3 or sb3_contrib",
+                repr(name),
+                "pass the class instead",
+            )
         return found
 
     def __call__(self) -> BaselineAds:
@@ -122,7 +138,9 @@ class Sb3Policy:
         The observations of a user's own simulator are unknown before a run. The run fails if they do not fit.
         """
         model = self.loaded
-        if not getattr(world, "is_native", False) and not model.fits(world.observation_space, world.action_space):
+        if not getattr(world, "is_native", False) and not model.fits(
+            world.observation_space, world.action_space
+        ):
             of_model = f"observations {model.observation_space} and actions {model.action_space}"
             stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
             raise refused(
@@ -140,9 +158,13 @@ def _loaded(policy: Sb3Policy, changed_at: tuple[int, ...]) -> BaselineModel:
 def _changed_at(file: Path) -> int:
     try:
         with file.open("rb") as opened:
-            return os.fstat(opened.fileno()).st_mtime_ns  # opening it also shows whether it can be read
+            return os.fstat(
+                opened.fileno()
+            ).st_mtime_ns  # opening it also shows whether it can be read
     except OSError as error:
-        raise refused("a file that can be read", f"{file} ({error.strerror})", "correct the path") from None
+        raise refused(
+            "a file that can be read", f"{file} ({error.strerror})", "correct the path"
+        ) from None
 
 
 class BaselineModel:
@@ -181,12 +203,16 @@ class BaselineModel:
         return frames, self._normalised(frames) if self._is_of_stack else frames
 
     def _normalised(self, observation: Any) -> Any:
-        return observation if self._statistics is None else self._statistics.normalize_obs(observation)
+        return (
+            observation if self._statistics is None else self._statistics.normalize_obs(observation)
+        )
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
         """Return the action for an input, and the state of a recurrent model."""
         start = np.array([is_first])
-        action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
+        action, state = self._model.predict(
+            seen, state=state, episode_start=start, deterministic=self._deterministic
+        )
         return action, state
 
 
@@ -215,7 +241,9 @@ def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int
     return None
 
 
-def push_observation(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
+def push_observation(
+    frames: Array | None, observation: Array, count: int, shape: Sequence[int]
+) -> Array:
     """Return the last ``count`` observations, stacked to an array of the given shape, with the newest last.
 
     Raises:
@@ -225,7 +253,11 @@ def push_observation(frames: Array | None, observation: Array, count: int, shape
     axis = stacking_axis(observation.shape, shape, count)
     if axis is None:
         fix = "use the frame_stack= of the training"
-        raise refused(f"{count} observations that stack to the shape {shape}", f"observations {observation.shape}", fix)
+        raise refused(
+            f"{count} observations that stack to the shape {shape}",
+            f"observations {observation.shape}",
+            fix,
+        )
     if frames is None:
         frames = np.zeros(shape, observation.dtype)
     _, older = np.split(frames, [observation.shape[axis]], axis)
@@ -239,7 +271,9 @@ def _parameters(file: Path) -> dict[str, Any]:
             parameters: dict[str, Any] = json.loads(zipped.read("data"))
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
         received = f"{file} ({type(error).__name__}: {error})"
-        raise refused("a zip that a Stable-Baselines3 model has saved", received, "save the model again") from None
+        raise refused(
+            "a zip that a Stable-Baselines3 model has saved", received, "save the model again"
+        ) from None
     return parameters
 
 
@@ -247,7 +281,11 @@ def _missing_statistics(file: Path) -> str:
     # No file names the wrappers that were used in training. But `learn` stores in the zip the last observations from
     # before VecNormalize, or None without VecNormalize. Algorithms with a replay buffer always store observations, so
     # for them this is no evidence.
-    beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
+    beside = [
+        each
+        for folder in (file.parent, file.with_suffix(""))
+        for each in sorted(folder.glob("*.pkl"))
+    ]
     found = next((each for each in beside if _is_statistics(each)), None)
     zipped = _parameters(file)
     name = "statistics.pkl" if found is None else found.relative_to(file.parent).as_posix()
@@ -268,7 +306,9 @@ def _missing_statistics(file: Path) -> str:
 
 def _is_statistics(file: Path) -> bool:
     with file.open("rb") as opened:
-        return b"vec_normalize" in opened.read(200)  # the class name at the start; nothing is unpickled
+        return b"vec_normalize" in opened.read(
+            200
+        )  # the class name at the start; nothing is unpickled
 
 
 def _library(name: str) -> Any:
@@ -277,7 +317,9 @@ def _library(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        raise refused(f"the package {name}", "a Python environment without it", f"run `{install('sb3')}`") from None
+        raise refused(
+            f"the package {name}", "a Python environment without it", f"run `{install('sb3')}`"
+        ) from None
 
 
 def _describe_world(world: Any) -> str:

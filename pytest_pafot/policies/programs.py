@@ -24,12 +24,22 @@ from pytest_pafot.support.text import safe_repr
 
 # The attributes of a `pytest_pafot.Observation` that the program receives as keys, in their order.
 SENT_ATTRIBUTES = (
-    *("time", "decision_period", "lanes", "lane_width", "speed_limit", "lane_centres", "road_length"),
+    *(
+        "time",
+        "decision_period",
+        "lanes",
+        "lane_width",
+        "speed_limit",
+        "lane_centres",
+        "road_length",
+    ),
     *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others", "crossing"),
 )
 
 LONGEST_LINE = 1 << 20  # the longest line that a program may write [bytes]
-STDERR_IN_ERROR = 2000  # length of the end of stderr in the error of a program that has ended [bytes]
+STDERR_IN_ERROR = (
+    2000  # length of the end of stderr in the error of a program that has ended [bytes]
+)
 STDERR_PRINTED = 4000  # number of bytes from each end of a run's stderr that the session prints
 GRACE = 1.0  # time for a program to end on its own after its input was closed [s]
 SLICE = 0.2  # longest wait without a check of the time [s], for systems on which the hang limit cannot send a signal
@@ -54,9 +64,19 @@ class ProgramLoader:
 
     def __post_init__(self) -> None:
         if os.name != "posix":
-            raise refused("a system with POSIX pipes, for process()", sys.platform, "run the tests on Linux or macOS")
-        if self.timeout is not None and not (isinstance(self.timeout, (int, float)) and self.timeout > 0):
-            raise refused("a timeout of more than 0 s, or None", repr(self.timeout), "use seconds, such as timeout=5")
+            raise refused(
+                "a system with POSIX pipes, for process()",
+                sys.platform,
+                "run the tests on Linux or macOS",
+            )
+        if self.timeout is not None and not (
+            isinstance(self.timeout, (int, float)) and self.timeout > 0
+        ):
+            raise refused(
+                "a timeout of more than 0 s, or None",
+                repr(self.timeout),
+                "use seconds, such as timeout=5",
+            )
 
     def __call__(self) -> ProgramAds:
         """Return a new ADS, with an idle program of this process or else a new program."""
@@ -107,7 +127,9 @@ class ProgramAds:
         try:
             sys.stderr.write(self._program.new_output())
         finally:
-            if self._is_waiting:  # its late response would be mistaken for a response in the next run
+            if (
+                self._is_waiting
+            ):  # its late response would be mistaken for a response in the next run
                 self._program.kill()
             if self._loader.keep and not self._is_waiting:
                 _idle(self._loader).append(self._program)
@@ -123,7 +145,8 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
         values["ego"] = observation.ego._asdict()
         values["others"] = [other._asdict() for other in observation.others]
         values["crossing"] = [
-            {**each._asdict(), "zone": asdict(replace(each.zone, line=()))} for each in observation.crossing
+            {**each._asdict(), "zone": asdict(replace(each.zone, line=()))}
+            for each in observation.crossing
         ]
     else:
         values["observation"] = observation
@@ -138,16 +161,26 @@ def action_of(line: bytes) -> Any:
     """
     answer = None
     # The messages are part of the signatures of saved findings. With other words, known failures would become new ones.
-    with suppress(ValueError, RecursionError):  # not JSON, not text, 5000 digits, or 100,000 brackets
+    with suppress(
+        ValueError, RecursionError
+    ):  # not JSON, not text, 5000 digits, or 100,000 brackets
         answer = json.loads(line, object_pairs_hook=_without_repetition)
     # An echoed observation also has the keys acceleration and steering, so this check must be first.
     if isinstance(answer, dict) and "reset" in answer:
         again = safe_repr(line.decode("utf-8", "replace"))
-        raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
+        raise BadAction(
+            f"expected a decision, as an object without the key reset, received an observation: {again}"
+        )
     if isinstance(answer, dict) and "action" in answer:
         return answer["action"]
     if isinstance(answer, dict) and "lane" in answer:
-        return LaneCommand(**{field.name: answer[field.name] for field in fields(LaneCommand) if field.name in answer})
+        return LaneCommand(
+            **{
+                field.name: answer[field.name]
+                for field in fields(LaneCommand)
+                if field.name in answer
+            }
+        )
     if isinstance(answer, dict) and answer.keys() >= {"acceleration", "steering"}:
         return answer["acceleration"], answer["steering"]
     raise BadAction(
@@ -188,9 +221,13 @@ class Program:
             )
         except OSError as error:
             received = f"{list(command)} ({error.strerror})"
-            raise refused("a program that can be started", received, "correct the path, or build it first") from None
+            raise refused(
+                "a program that can be started", received, "correct the path, or build it first"
+            ) from None
         self._to, self._from, self._errors = (
-            pipe.fileno() for pipe in (self._process.stdin, self._process.stdout, self._process.stderr) if pipe
+            pipe.fileno()
+            for pipe in (self._process.stdin, self._process.stdout, self._process.stderr)
+            if pipe
         )
         self._sources = [self._from, self._errors]
         # Also ends the program when this object is garbage-collected and when this process ends normally. Unlike a
@@ -247,7 +284,9 @@ class Program:
             self._read()
         elif self._to in ready:
             return True
-        elif _has_ended(self._process, 0.0) and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
+        elif _has_ended(self._process, 0.0) and self._from not in {
+            descriptor for descriptor, _ in pipes.poll(0)
+        }:
             self._raise_ended()  # although a process that the program has started may keep the pipe open
         return False
 
@@ -258,14 +297,18 @@ class Program:
         self._buffer += part
         if len(self._buffer) > LONGEST_LINE:
             begins = safe_repr(bytes(self._buffer[:80]))
-            raise BadAction(f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}")
+            raise BadAction(
+                f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}"
+            )
 
     def _read_stderr(self) -> None:
         part = os.read(self._errors, CHUNK)
         if not part:
             self._sources.remove(self._errors)
         self._stderr += part
-        middle = max(0, len(self._stderr) - 2 * STDERR_PRINTED)  # only the start and the end are stored, to save memory
+        middle = max(
+            0, len(self._stderr) - 2 * STDERR_PRINTED
+        )  # only the start and the end are stored, to save memory
         del self._stderr[STDERR_PRINTED : STDERR_PRINTED + middle]
         self._omitted += middle
 
@@ -290,7 +333,9 @@ class Program:
         raise error
 
     def _read_rest(self) -> None:
-        for _ in range(LONGEST_LINE // CHUNK):  # a limit, because a program may write faster than this reads
+        for _ in range(
+            LONGEST_LINE // CHUNK
+        ):  # a limit, because a program may write faster than this reads
             pipe = select.poll()
             pipe.register(self._errors, select.POLLIN)
             if self._errors not in self._sources or not pipe.poll(0):
@@ -331,7 +376,9 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # no process is left, or it runs as a different user
+    with suppress(
+        ProcessLookupError, PermissionError
+    ):  # no process is left, or it runs as a different user
         os.killpg(process.pid, signal.SIGKILL)
 
 

@@ -23,7 +23,13 @@ from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import Session
 from pytest_pafot.searches.events import Ending, Search
 from pytest_pafot.support.process import installed_versions
-from pytest_pafot.support.text import capitalised, content_hash, json_in_script, plural, visible_lines
+from pytest_pafot.support.text import (
+    capitalised,
+    content_hash,
+    json_in_script,
+    plural,
+    visible_lines,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +52,11 @@ class Shown:
         """The side responsible for the collision, or ``check`` or ``error``."""
         if self.view["check"] is not None:
             return "check"
-        return "error" if self.view["event"]["kind"] in ("ads_error", "hang") else self.seen.responsible
+        return (
+            "error"
+            if self.view["event"]["kind"] in ("ads_error", "hang")
+            else self.seen.responsible
+        )
 
 
 def text(value: object) -> str:
@@ -61,7 +71,11 @@ def prose(value: object) -> str:
 
 
 def _facts(pairs: Iterable[tuple[str, object]]) -> str:
-    rows = "".join(f"<div><dt>{text(name)}</dt><dd>{prose(value)}</dd></div>" for name, value in pairs if value != "")
+    rows = "".join(
+        f"<div><dt>{text(name)}</dt><dd>{prose(value)}</dd></div>"
+        for name, value in pairs
+        if value != ""
+    )
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
@@ -75,7 +89,14 @@ def _with_button(command: str) -> str:
 # The list of findings, and an article on each finding, with space for a picture.
 
 # The symbols can be distinguished without colour.
-SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2", "error": "\u25a0"}
+SYMBOLS = {
+    "ego": "\u25cf",
+    "npc": "\u25cb",
+    "both": "\u25d0",
+    "none": "\u2013",
+    "check": "\u25b2",
+    "error": "\u25a0",
+}
 
 WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
 
@@ -96,10 +117,17 @@ def finding_list(findings: Sequence[Shown]) -> str:
     if not findings:
         return ""
     counts = Counter(each.who for each in findings)
-    names = {who: f"{name}s" if counts[who] > 1 and who in ("check", "error") else name for who, name in WHO.items()}
-    summary = ", ".join(f"{SYMBOLS.get(who, '?')} {counts[who]} {names.get(who, who)}" for who in sorted(counts))
+    names = {
+        who: f"{name}s" if counts[who] > 1 and who in ("check", "error") else name
+        for who, name in WHO.items()
+    }
+    summary = ", ".join(
+        f"{SYMBOLS.get(who, '?')} {counts[who]} {names.get(who, who)}" for who in sorted(counts)
+    )
     listed = f'<p class="summary">{text(summary)}</p><div class="rows">'
-    for test, group in groupby(zip(_keys(findings), findings, strict=True), key=lambda each: each[1].test):
+    for test, group in groupby(
+        zip(_keys(findings), findings, strict=True), key=lambda each: each[1].test
+    ):
         listed += f"<h3>{text(test)}</h3><ol>"
         for key, finding in group:
             listed += (
@@ -114,9 +142,20 @@ def finding_list(findings: Sequence[Shown]) -> str:
 
 def finding_article(finding: Shown, index: int) -> str:
     """Return the HTML article about one finding, with an empty element for its picture."""
-    seen, view, is_check, responsible = finding.seen, finding.view, finding.who == "check", finding.seen.responsible
+    seen, view, is_check, responsible = (
+        finding.seen,
+        finding.view,
+        finding.who == "check",
+        finding.seen.responsible,
+    )
     besides, traffic = view["besides"], STYLES[seen.finding.scenario.traffic].described
-    tags = [finding.label, view["assertion"] * (not is_check), traffic, plural(finding.runs, "run"), seen.worst]
+    tags = [
+        finding.label,
+        view["assertion"] * (not is_check),
+        traffic,
+        plural(finding.runs, "run"),
+        seen.worst,
+    ]
     if is_check and responsible != "none" and not besides:
         tags.append(f"{WHO.get(responsible, responsible)} for the collision")
     parts = [
@@ -124,13 +163,20 @@ def finding_article(finding: Shown, index: int) -> str:
         f'<p class="id">{prose(finding.test)} <span>{text(seen.id)}</span></p>',
         f'<h2 id="headline-{index}">{mark(finding)} {prose(capitalised(view["headline"]))}</h2>',
         '<div class="told"><div>',
-        *(f'<p class="sentence{" deed" * (each == view["deed"])}">{prose(each)}</p>' for each in view["sentences"]),
+        *(
+            f'<p class="sentence{" deed" * (each == view["deed"])}">{prose(each)}</p>'
+            for each in view["sentences"]
+        ),
     ]
     if besides:
-        parts.append(f'<p class="besides">{prose(besides)} <span class="deed">{prose(view["deed"])}</span></p>')
+        parts.append(
+            f'<p class="besides">{prose(besides)} <span class="deed">{prose(view["deed"])}</span></p>'
+        )
     parts += [
         f"</div>{_paragraphs(view['moment'])}</div></header>",
-        '<div class="player"></div>' if view["times"] else '<p class="empty">There is no run to draw.</p>',
+        '<div class="player"></div>'
+        if view["times"]
+        else '<p class="empty">There is no run to draw.</p>',
         f"<footer><ul>{''.join(f'<li>{text(tag)}</li>' for tag in tags if tag)}</ul>",
         f"{_with_button(finding.command)}</footer>",
         f"<h3>What happened</h3>{_paragraphs(view['happened'])}" if view["happened"] else "",
@@ -161,7 +207,10 @@ def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
         for each in findings
     )
     note = f"This page shows the {whole} worst findings in full. The others are listed here, the worst first."
-    return _section(plural(len(findings), "more finding"), f'<p class="note">{note}</p><ul id="further">{rows}</ul>')
+    return _section(
+        plural(len(findings), "more finding"),
+        f'<p class="note">{note}</p><ul id="further">{rows}</ul>',
+    )
 
 
 def _section(title: str, content: str) -> str:
@@ -180,7 +229,9 @@ def _search(search: Search) -> str:
         ("seed", search.seed),
         ("ended", search.reason.after_ended),
     )
-    warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
+    warnings = "".join(
+        f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings
+    )
     return f'<article class="searches"><h3 class="id">{prose(search.node_id)}</h3>{_facts(figures)}{warnings}</article>'
 
 
@@ -196,7 +247,17 @@ ASSETS = "pytest_pafot.report.assets"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 
 # The data that the scripts read. Everything else is in the page as text.
-DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "ghost", "event", "check")
+DRAWN = (
+    "headline",
+    "times",
+    "vehicles",
+    "road",
+    "instructions",
+    "decisions",
+    "ghost",
+    "event",
+    "check",
+)
 
 INTERRUPTED = '<p class="warning">The session was interrupted. This report covers only what had run by then.</p>'
 
@@ -212,17 +273,35 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
     style = _asset("page.css")
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # With these hashes, a browser accepts only this style and these scripts, and opens no connection.
-    policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
+    policy = (
+        f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
+    )
     seen, searches = session.findings, sorted(session.ended, key=lambda each: each.node_id)
-    found = sorted((seen[node_id] for node_id in session.views), key=lambda each: (each.label != "new", *each.rank))
+    found = sorted(
+        (seen[node_id] for node_id in session.views),
+        key=lambda each: (each.label != "new", *each.rank),
+    )
     views, more = [_shown(each, session) for each in found[:WHOLE]], found[WHOLE:]
     tests = [each.test for each in views]
-    views.sort(key=lambda each: tests.index(each.test))  # grouped by test, the test with the worst finding first
+    views.sort(
+        key=lambda each: tests.index(each.test)
+    )  # grouped by test, the test with the worst finding first
     # A failure needs an article only if no finding explains it. Searches also fail because of their findings.
-    shown = {*session.views, *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR)}
-    failures = {key: text for key, text in session.failures.items() if key[1] != "call" or key[0] not in shown}
+    shown = {
+        *session.views,
+        *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR),
+    }
+    failures = {
+        key: text
+        for key, text in session.failures.items()
+        if key[1] != "call" or key[0] not in shown
+    }
     # The article on a failure without a finding shows pytest's text.
-    ended = {each.node_id: "The search ended with an error." for each in searches if each.reason is Ending.ERROR}
+    ended = {
+        each.node_id: "The search ended with an error."
+        for each in searches
+        if each.reason is Ending.ERROR
+    }
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, but no finding on this page explains why.')}</p>"
@@ -246,7 +325,9 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
         articles="".join(finding_article(finding, index) for index, finding in enumerate(views)),
         below=_further(more, len(views), session)
         + _section("Searches", "".join(map(_search, searches)))
-        + _section("Session", _facts(session_facts(searches, session.replays)) + _with_button(command)),
+        + _section(
+            "Session", _facts(session_facts(searches, session.replays)) + _with_button(command)
+        ),
         data=data_json(views),
     )
     return page, told
@@ -254,7 +335,9 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
 
 def _shown(seen: Seen, session: Session) -> Shown:
     view = json.loads(zlib.decompress(session.views[seen.node_id]))
-    search = {name_without(SEARCH_PART, each.node_id): each for each in session.ended}.get(seen.test)
+    search = {name_without(SEARCH_PART, each.node_id): each for each in session.ended}.get(
+        seen.test
+    )
     runs = 1 + seen.alike.runs if search is None else search.known.get(seen.id, 1)
     parts: list[str] = [] if seen.label == "accepted" else [seen.result]
     if seen.label == "new":
@@ -268,7 +351,9 @@ def _shown(seen: Seen, session: Session) -> Shown:
 def data_json(findings: Iterable[Shown]) -> str:
     """Return the data for the page's scripts, as JSON that is safe inside a ``<script>`` element."""
     data = [{name: each.view[name] for name in DRAWN} for each in findings]
-    return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
+    return json_in_script(
+        json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    )
 
 
 def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupted: bool) -> str:
@@ -279,7 +364,9 @@ def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupt
     if is_interrupted or Ending.INTERRUPTED in ends:
         return "No findings before the interruption. The remaining scenarios were not tested."
     if any(search.failing for search in searches):
-        return "No new findings. Some runs failed, but saved scenarios already cover these failures."
+        return (
+            "No new findings. Some runs failed, but saved scenarios already cover these failures."
+        )
     if not all(end.is_complete for end in ends):
         return "No findings before time ran out. The property held in all runs that were evaluated until then."
     return "No findings. The property held in all evaluated runs."
@@ -303,6 +390,9 @@ def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterat
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
         if each.result.startswith(("drifted", "passed")):
-            yield each.result, ": ".join(filter(None, [each.node_id, each.on_search or each.detail]))
+            yield (
+                each.result,
+                ": ".join(filter(None, [each.node_id, each.on_search or each.detail])),
+            )
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -30,7 +30,8 @@ ADVICE = (
     "node id in the `test:` line of each file. If the test was deleted, delete the files"
 )
 UNNAMED_ADVICE = (
-    "Rename the test, its class or its file so that pytest collects it, or set __test__ to False in the test or class"
+    "Rename the test, its class or its file so that pytest collects it, or set "
+    "__test__ to False in the test or class"
 )
 
 
@@ -45,14 +46,18 @@ class Session:
         self.seen: dict[str, Seen] = {}
         self.items: dict[str, str] = {}
         self.views: dict[str, bytes] = {}
-        self.unread: dict[str, Mapping[str, str]] = {}  # saved scenarios that could not be read or run
+        self.unread: dict[
+            str, Mapping[str, str]
+        ] = {}  # saved scenarios that could not be read or run
         # For each node id of an item: the search, in the order in which searches started or ended, the result, and the
         # first line of its failure. For each node id and phase: pytest's full text of the failure.
         self.searches: dict[str, Search] = {}
         self.results: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.failures: dict[tuple[str, str], str] = {}
-        self.incomparable: dict[str, None] = {}  # items with a policy that could not be compared with its reference
+        self.incomparable: dict[
+            str, None
+        ] = {}  # items with a policy that could not be compared with its reference
         self.unnamed: list[str] = []  # marked tests that pytest did not collect
         # Saved scenarios that the session did not replay, and those for which it fails.
         self.left: list[str] = []
@@ -71,7 +76,9 @@ class Session:
         match event:
             case Search():
                 self.searches.pop(event.node_id, None)
-                self.searches[event.node_id] = replace(event, finds=tuple(map(self._with_alike, event.finds)))
+                self.searches[event.node_id] = replace(
+                    event, finds=tuple(map(self._with_alike, event.finds))
+                )
             case Seen():
                 earlier = self.seen.pop(event.node_id, None)
                 # If the session also replays the new file of a search, the replay must not hide that it is unshrunk.
@@ -93,7 +100,9 @@ class Session:
             find = self.seen[find.node_id] = replace(known, alike=find.alike)
         return find
 
-    def add_failure(self, node_id: str, phase: str, text: str, reason: str, *, saved: Mapping[str, str] | None) -> None:
+    def add_failure(
+        self, node_id: str, phase: str, text: str, reason: str, *, saved: Mapping[str, str] | None
+    ) -> None:
         """Add an item's failure, even if its search or replay could not start.
 
         ``saved`` has the id, file and test of a replayed scenario. It is None for a search.
@@ -103,7 +112,11 @@ class Session:
         self.failures[node_id, phase] = text
         self.reasons.setdefault(node_id, reason)
         if saved is not None and node_id not in self.seen:
-            again = rerun(["python", "-m", "pytest", *self.options, saved["file"]], os.environ, saved=saved["id"])
+            again = rerun(
+                ["python", "-m", "pytest", *self.options, saved["file"]],
+                os.environ,
+                saved=saved["id"],
+            )
             self.unread.setdefault(node_id, {**saved, "replay": again})
         elif saved is None and node_id not in self.seen:
             self.searches.setdefault(node_id, Search(node_id=node_id))
@@ -116,7 +129,11 @@ class Session:
     @property
     def running(self) -> list[str]:
         """The node ids of searches that have not reported their end."""
-        return [node_id for node_id, each in self.searches.items() if not each.reason and each.seed is not None]
+        return [
+            node_id
+            for node_id, each in self.searches.items()
+            if not each.reason and each.seed is not None
+        ]
 
     @property
     def is_driven(self) -> bool:
@@ -144,7 +161,10 @@ class Session:
     @property
     def red(self) -> list[Seen]:
         """The failures that make a session fail."""
-        return [*self.finds, *(each for each in self.replays if each.headline and each.label != "accepted")]
+        return [
+            *self.finds,
+            *(each for each in self.replays if each.headline and each.label != "accepted"),
+        ]
 
     def command(self, seen: Seen, *words: str, name: str = "") -> str:
         """Return the command that runs a finding again, or its search if the finding was not saved."""
@@ -152,7 +172,9 @@ class Session:
             return rerun([*words, *self.options, name or seen.path], os.environ, saved=seen.id)
         item = self.items.get(seen.node_id, "")
         search = self.searches.get(item)
-        return rerun([*words, item], os.environ, *("" if search is None else search.options).split())
+        return rerun(
+            [*words, item], os.environ, *("" if search is None else search.options).split()
+        )
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:

@@ -134,7 +134,10 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         severity_before: the same for the reference; null unless it also fails.
         xfail: `reason` and `until` of an accepted failure, or null.
     """
-    values = (copy(nothing) if seen is None or of is None else of(seen) for nothing, of in FINDING.values())
+    values = (
+        copy(nothing) if seen is None or of is None else of(seen)
+        for nothing, of in FINDING.values()
+    )
     return dict(zip(FINDING, values, strict=True)) | more
 
 
@@ -152,7 +155,10 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         warnings, problems: warnings, for example about expired acceptances and skipped tests; errors outside tests.
     """
     same = partial(portable, root=root)
-    told = {node_id: {"result": session.results.get(node_id, "")} for node_id in (*session.searches, *session.seen)}
+    told = {
+        node_id: {"result": session.results.get(node_id, "")}
+        for node_id in (*session.searches, *session.seen)
+    }
     reasons = {node_id: same(reason) for node_id, reason in session.reasons.items()}
     findings = {
         node_id: finding_entry(
@@ -165,17 +171,36 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         for node_id, seen in session.findings.items()
     }
     for node_id, saved in session.unread.items():
-        known = {"node_id": node_id, "detail": reasons[node_id], "result": session.results.get(node_id, "")}
+        known = {
+            "node_id": node_id,
+            "detail": reasons[node_id],
+            "result": session.results.get(node_id, ""),
+        }
         findings.setdefault(node_id, finding_entry(None, **saved, **known))
     # A running search has an empty record, which remains if the session is killed.
     searches = [
-        {each.name: getattr(search, each.name) for each in fields(Search) if each.name not in NOT_WRITTEN}
-        | {"runs": search.runs, "failing": search.failing, "finds": [find.id for find in search.finds]}
-        | {"failures": sorted(({"id": id_, "signature": shown.told} for id_, shown in search.failures), key=str)}
+        {
+            each.name: getattr(search, each.name)
+            for each in fields(Search)
+            if each.name not in NOT_WRITTEN
+        }
+        | {
+            "runs": search.runs,
+            "failing": search.failing,
+            "finds": [find.id for find in search.finds],
+        }
+        | {
+            "failures": sorted(
+                ({"id": id_, "signature": shown.told} for id_, shown in search.failures), key=str
+            )
+        }
         | {**told[node_id], "message": reasons.get(node_id, "")}
         for node_id, search in sorted(session.searches.items())
     ]
-    folders, gone = (Counter(file.rpartition("/")[0] for file in files) for files in (session.left, session.fails))
+    folders, gone = (
+        Counter(file.rpartition("/")[0] for file in files)
+        for files in (session.left, session.fails)
+    )
     expected, _, advice = ADVICE.partition(". ")
     data = {
         "pafot_json": VERSION,
@@ -185,7 +210,13 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         "searches": searches,
         "findings": [findings[node_id] for node_id in sorted(findings)],
         "orphans": [
-            {"folder": folder, "files": count, "expected": expected, "way_out": advice, "is_gone": folder in gone}
+            {
+                "folder": folder,
+                "files": count,
+                "expected": expected,
+                "way_out": advice,
+                "is_gone": folder in gone,
+            }
             for folder, count in sorted(folders.items())
             if session.exit is not None
         ],
@@ -237,14 +268,25 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
             for lines in group[:most]:
                 yield from lines
             others = f"{len(group) - most} more" if most else f"{len(group)}"
-            yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
+            yield from (
+                [f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"]
+                if len(group) > most
+                else []
+            )
     searches = [session.searches[node_id] for node_id in sorted(session.searches)]
     # Any other search that failed did so because of its new findings, which are listed above.
-    failed = [each.node_id for each in searches if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds]
+    failed = [
+        each.node_id
+        for each in searches
+        if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds
+    ]
     faulty = [f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}" for node_id in failed]
     yield from _listed("Searches that failed", faulty)
     lost = sorted({file.rpartition("/")[0] for file in session.left})
-    yield from _listed("Saved scenarios that were not replayed", [f"{code(each)}: {plain(ADVICE)}" for each in lost])
+    yield from _listed(
+        "Saved scenarios that were not replayed",
+        [f"{code(each)}: {plain(ADVICE)}" for each in lost],
+    )
     yield from _listed("Warnings", [plain(each) for each in sorted(session.warnings)])
     yield from _listed("Problems", [plain(each) for each in session.problems])
 
@@ -254,14 +296,20 @@ def _search_lines(session: Session) -> Iterator[str]:
     if not ran:
         yield "No search was completed." if session.searches else "No search was requested."
         return
-    options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
+    options = " or ".join(
+        code(options) for options in dict.fromkeys(search.options for search in ran)
+    )
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
     yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; repeat with {options}."
-    against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
+    against = ", ".join(
+        code(name) for name in dict.fromkeys(search.against for search in ran) if name
+    )
     if against:
         yield f"A run counts as a failure only if {against} passes the same scenario."
     drawn = [search.random for search in ran if search.random["runs"]]
-    failing, counted = (sum(each[name] for each in drawn for name in names) for names in (FAILING, ("runs",)))
+    failing, counted = (
+        sum(each[name] for each in drawn for name in names) for names in (FAILING, ("runs",))
+    )
     if failing:
         yield f"{failing} of {plural(counted, 'random scenario')} failed."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
@@ -281,7 +329,9 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
     yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
     is_pass = seen.result.startswith("passed")
-    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else describe_failure(seen)[1:]))
+    yield from (
+        f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else describe_failure(seen)[1:])
+    )
     missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
     yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"
 

@@ -136,10 +136,15 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
     excess = _excess(check, values)
     spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
     worst = [values[span[int(excess[span].argmax())]] for span in spans]
-    broken = tuple((round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0))
+    broken = tuple(
+        (round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0)
+    )
     return view | {
         "begin": broken[0][0] if broken else time,
-        "values": tuple(None if np.isnan(each) else round(float(each), digits) for each in np.clip(worst, low, high)),
+        "values": tuple(
+            None if np.isnan(each) else round(float(each), digits)
+            for each in np.clip(worst, low, high)
+        ),
         "low": low,
         "high": high,
         "is_cut": (bool((values < low).any()), bool((values > high).any())),
@@ -159,14 +164,18 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
     shown = [*values[np.isfinite(values)], *bounds]
     low, high = float(min(shown)), float(max(shown))
-    broken_by = max(abs(check.value - bound) for bound in bounds) if math.isfinite(check.value) else 0.0
+    broken_by = (
+        max(abs(check.value - bound) for bound in bounds) if math.isfinite(check.value) else 0.0
+    )
     reach = REACH * (max(broken_by, *map(abs, bounds)) or 1.0)
     if check.at_least is None:
         low = max(low, bounds[0] - reach)
     if check.at_most is None:
         high = min(high, bounds[0] + reach)
     step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
-    return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
+    return round(math.floor(low / step) * step, 12), round(
+        max(math.ceil(high / step) * step, low + step), 12
+    )
 
 
 # Times that differ by less than this [s] count as equal in sentences about a check.
@@ -206,7 +215,9 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         written, check = str(check), _with_curve(check, run.trace)
         short = _check_in_short(check, run.trace)
         said = () if written in headline else (f"{capitalised(short)}.",)
-        headline = headline.replace(written, capitalised(short) if headline.startswith(written) else short)
+        headline = headline.replace(
+            written, capitalised(short) if headline.startswith(written) else short
+        )
         if sentences:  # they are about the collision, but would seem to be about the check
             besides, collision = f"{ALSO} {collision_in_short(run)}.", _prose([first, *sentences])
         sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
@@ -220,9 +231,18 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "besides": besides,
         "deed": deed,
         "moment": _moment(sighting),
-        "happened": (*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting.finding)),
+        "happened": (
+            *((("The collision", collision, ()),) if collision else ()),
+            *_happened(lines, sighting.finding),
+        ),
         "assertion": _assertion(expect),
-        "road": {"lanes": (), "lane_width": 0.0, "speed_limit": 0.0, "clearance": clearance, "shapes": ()},
+        "road": {
+            "lanes": (),
+            "lane_width": 0.0,
+            "speed_limit": 0.0,
+            "clearance": clearance,
+            "shapes": (),
+        },
         **dict.fromkeys(("vehicles", "times", "decisions"), ()),
         "instructions": _instructions(trace, finding.scenario),
         "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
@@ -256,12 +276,20 @@ def _with_curve(check: Check, trace: Trace) -> Check:
     # If the value is the smallest gap or time to contact of the run, the page can show the curve of that measure.
     values = np.fmin.reduce(measure(trace), axis=1, initial=np.inf)
     is_it = values.min() == check.value
-    return replace(check, values=values, time=float(values.argmin()) / trace.physics_hz) if is_it else check
+    return (
+        replace(check, values=values, time=float(values.argmin()) / trace.physics_hz)
+        if is_it
+        else check
+    )
 
 
 def _check_in_short(check: Check, trace: Trace) -> str:
     view = check_view(check, trace, ())
-    when = "" if view["begin"] is None else f" {'from' if view['broken'] else 'at'} {view['begin']:.1f} s"
+    when = (
+        ""
+        if view["begin"] is None
+        else f" {'from' if view['broken'] else 'at'} {view['begin']:.1f} s"
+    )
     return f"the check fails{when}: {replace(check, time=None)}"
 
 
@@ -273,7 +301,9 @@ def _check_sentences(check: View) -> tuple[str, ...]:
     first, last, times = broken[0][0], broken[-1][1], len(broken)
     worst = f"the value is worst at {time:.1f} s" if time - first >= LITTLE else ""
     often = f" {times} times," if times > 1 else ""
-    until = f"the bound is broken{often} until {last:.1f} s" if last - time >= LITTLE or often else ""
+    until = (
+        f"the bound is broken{often} until {last:.1f} s" if last - time >= LITTLE or often else ""
+    )
     told = " and ".join(filter(None, [worst, until]))
     return (f"{capitalised(told)}.",) if told else ()
 
@@ -285,7 +315,9 @@ def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
 
 
 def _prose(lines: Sequence[str]) -> str:
-    return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines)
+    return " ".join(
+        f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines
+    )
 
 
 def _moment(sighting: Seen) -> tuple[Paragraph, ...]:
@@ -302,7 +334,9 @@ def _happened(lines: Sequence[str], finding: Finding) -> tuple[Paragraph, ...]:
     size = [f"{how}{'' if number else runs}" for number, how in enumerate(shrunk_lines(finding))]
     shown.append(("Simplified", size))
     perception = finding.perception
-    shown.append(("Perception", [] if perception is None else [f"found with {perception.described}"]))
+    shown.append(
+        ("Perception", [] if perception is None else [f"found with {perception.described}"])
+    )
     return tuple((title, _prose(sentences), ()) for title, sentences in shown if sentences)
 
 
@@ -312,7 +346,9 @@ def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
     decided = zip(
         times, (_decided(each, names) for each in trace.actions), strict=False
     )  # the last decision may have raised
-    starts = [(round(next(group)[0], 3), words) for words, group in groupby(decided, key=itemgetter(1))]
+    starts = [
+        (round(next(group)[0], 3), words) for words, group in groupby(decided, key=itemgetter(1))
+    ]
     ends = [*starts, (round(trace.duration, 3), "")]
     return tuple((start, end, words) for (start, words), (end, _) in pairwise(ends))
 
@@ -369,7 +405,9 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
         if vehicle:
             npc = vehicle - 1
             is_on_way = encounters.is_on_way[npc]
-            view["cells"] = tuple(int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks)
+            view["cells"] = tuple(
+                int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks
+            )
             view |= {"gap": _numbers(gaps[ticks, npc], 2), "ttc": _numbers(ttcs[ticks, npc], 2)}
             passage = passed[npc]
             if passage is not None:
@@ -389,7 +427,9 @@ def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
         return None
     tick = round((expect.time - expect.takeover) * run.trace.physics_hz)
     shown = [each for each in ticks if tick <= each <= taken.ticks]
-    along, across = (each[shown, 0] for each in taken.road.drawn(taken.states[:, :, X], taken.states[:, :, Y]))
+    along, across = (
+        each[shown, 0] for each in taken.road.drawn(taken.states[:, :, X], taken.states[:, :, Y])
+    )
     return {
         "first": ticks.index(shown[0]),
         "along": _numbers(along, 2),
@@ -420,7 +460,9 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
     # The instructions as executed, if there is a run. The repair may have changed a cell, so both `requested` and
     # `cell` are stored.
     wanted = scenario if trace is None else trace.scenario
-    driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
+    driven, arrivals, hz = (
+        (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
+    )
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
     views: list[View] = []
     for npc, chain in enumerate(wanted.npcs):
@@ -442,7 +484,9 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
                 **dict.fromkeys(("requested", "cell"), 0),
                 **dict.fromkeys(("lane", "zone", "words"), ""),
             }
-            views.append({**view, **followed.shown(requested, apart, "" if zone is None else zone.whence)})
+            views.append(
+                {**view, **followed.shown(requested, apart, "" if zone is None else zone.whence)}
+            )
     return tuple(views)
 
 

@@ -44,8 +44,12 @@ class Bench:
     clock: Callable[[], float] = monotonic  # returns the time [s]
     decisions_beside: int = 0  # number of decisions of the ADS that did not affect a run
     refining_end: float = math.inf  # the time at which work on findings must end [s]
-    refining_most: float = math.inf  # the largest number of decisions that work on findings can request
-    asked: int = 0  # the number of decisions that it has requested; the same for any number of processes
+    refining_most: float = (
+        math.inf
+    )  # the largest number of decisions that work on findings can request
+    asked: int = (
+        0  # the number of decisions that it has requested; the same for any number of processes
+    )
     is_at_limit: bool = False  # True if this number has reached its limit
     confirm_decisions: int = 0  # the number of decisions of the ADS to confirm findings
     confirm_seconds: float = 0.0  # the time to confirm findings [s]
@@ -72,8 +76,12 @@ class Bench:
             if made is None or isinstance(made, ProcessLostError):
                 return made
             result: Result = made if isinstance(made, Result) else self.examiner(made, state.known)
-            if result.kind == "failed" and self.reference is not None:  # count only what the reference passes
-                result = result.beside(self.harness.judge_reference(self.reference, result.evaluation.scenario))
+            if (
+                result.kind == "failed" and self.reference is not None
+            ):  # count only what the reference passes
+                result = result.beside(
+                    self.harness.judge_reference(self.reference, result.evaluation.scenario)
+                )
         self.record.clear()
         return result
 
@@ -97,7 +105,9 @@ class Bench:
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:  # run the reference, too
-                verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
+                verdict = verdict.beside(
+                    self.harness.judge_reference(self.reference, scenario or run.scenario)
+                )
         self.record.clear()
         return verdict
 
@@ -161,7 +171,11 @@ class Bench:
                 if expected is not None and (changed := first_difference(expected, again.trace)):
                     differs = f"{NOT_REPEATED}: {changed}"
                 elif expected is not None:
-                    differs = JUDGED_OTHERWISE if run is None else self._in_words(_difference_in_gym(again, self))
+                    differs = (
+                        JUDGED_OTHERWISE
+                        if run is None
+                        else self._in_words(_difference_in_gym(again, self))
+                    )
         except ProcessLostError as error:
             differs = f"the process that ran it again {error.end}"
         except OutOfTime:
@@ -195,7 +209,9 @@ def left_out_text(world: BaseWorld) -> str:
     if not methods:
         return ""
     names = " and ".join(f"`{name}`" for name in methods)
-    changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
+    changed = ", ".join(
+        f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values()))
+    )
     return (
         f"runs do not call the environment's own {names}, which may change {changed}. If runs need this, write "
         "wrappers=[] in the pafot.World"

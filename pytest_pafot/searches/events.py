@@ -32,7 +32,9 @@ class Progress:
     finds: int  # distinct new findings
     seconds: float  # since the search started
     budget: int | None = None  # requested runs
-    left: float = 0.0  # the estimated time of the remaining runs, without confirmations [s]; 0 if unknown
+    left: float = (
+        0.0  # the estimated time of the remaining runs, without confirmations [s]; 0 if unknown
+    )
     decision_seconds: float = 0.0  # the mean time of a decision [s]; 0 if unknown
     is_limited: bool = False  # whether the search has a time limit
     phase: str = ""  # the work after the runs, such as shrinking; empty before it
@@ -68,7 +70,13 @@ class Ending(StrEnum):
 
     @property
     def after_ended(self) -> str:
-        return "early" if self is Ending.UNKNOWN else "with an error" if self is Ending.ERROR else str(self)
+        return (
+            "early"
+            if self is Ending.UNKNOWN
+            else "with an error"
+            if self is Ending.ERROR
+            else str(self)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +197,9 @@ class Search:
         if self.paired.is_worse:
             how = f"this policy is worse than {self.against}"
         elif self.finds:
-            how = f"random scenarios do not show whether the new policy is worse than {self.against}"
+            how = (
+                f"random scenarios do not show whether the new policy is worse than {self.against}"
+            )
         else:
             how = f"this policy is no worse than {self.against}"
         return f"{how}: {self.paired}"
@@ -211,7 +221,9 @@ def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
     search, now = searches.get(replay.test), replay.observed
     if search is None or replay.label != "passes":
         return replay
-    if elsewhere := next((id_ for id_, shown in search.failures if shown == replay.finding.signature), ""):
+    if elsewhere := next(
+        (id_ for id_, shown in search.failures if shown == replay.finding.signature), ""
+    ):
         return replace(replay, observed=replace(now, elsewhere=elsewhere))
     drawn = min(search.random["runs"], search.tested)
     return replace(replay, observed=replace(now, searched=search.tested, drawn=drawn))

@@ -119,7 +119,10 @@ def explore(
         Exception: if every run of the first generation ends in the same exception, unless it is an assertion.
     """
     check_asserts(holds)
-    budget = {"runs": RUNS if runs is None and generations is None else runs, "generations": generations}
+    budget = {
+        "runs": RUNS if runs is None and generations is None else runs,
+        "generations": generations,
+    }
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
@@ -131,7 +134,9 @@ def explore(
         with prepared(replays.harness, note=run_table.note_of) as parts:
             max_time = request.settings.max_time
             limit = math.inf if max_time is None else now + max_time
-            session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
+            session = SearchSession(
+                watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays
+            )
             happens = Events(session.run())
             while not happens.is_over:
                 with happens:
@@ -147,9 +152,12 @@ def explore(
         told = " Also, ".join(result.summary.warnings)
         raise RequestError(f"{PLACE}: expected runs that test the policy, but {told}")
     findings = tuple(
-        replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
+        replace(each.finding, trace=None if each.run is None else each.run.trace)
+        for each in result.findings
     )
-    return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=tuple(table.rows))
+    return Exploration(
+        findings=findings, summary=result.summary, events=tuple(events), runs=tuple(table.rows)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,7 +274,9 @@ def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
     if failure is not None:
         found = signature_of_failure(run, failure)
         # The string starts with readable words. Two strings are equal only if the signatures are equal.
-        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+        signature = (
+            f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+        )
     return run_table.note_of(run, verdict) | {
         "cell": None if hit is None or hit.cell is None else int(hit.cell),
         "zone": None if hit is None else event_of(run, failure).zone,
@@ -284,7 +294,9 @@ def request_of(given: dict[str, Any]) -> Request:
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest. Remove it"
             )
-    check_names([name for name in given if name not in ExploreArguments.__annotations__], place=PLACE)
+    check_names(
+        [name for name in given if name not in ExploreArguments.__annotations__], place=PLACE
+    )
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
     values |= {"corpus": "", "save": "new" if given.get("corpus") else "none"}
     for name in sorted(given.keys() & values.keys()):
@@ -295,14 +307,20 @@ def request_of(given: dict[str, Any]) -> Request:
     return checked_request(given, Settings(**values), place=PLACE)
 
 
-def replays_of(request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path) -> Replays:
+def replays_of(
+    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path
+) -> Replays:
     """Return the replays for a search without pytest, including its harness."""
     if isinstance(request.ads, str):
-        raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
+        raise request.error(
+            "ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}"
+        )
     settings, (module, _, test) = request.settings, node_id.partition("::")
 
     def fixture(name: str) -> NoReturn:
-        raise request.error("against", f"expected a factory, or its name as module:factory, received {name!r}")
+        raise request.error(
+            "against", f"expected a factory, or its name as module:factory, received {name!r}"
+        )
 
     # Without a corpus, findings are not saved, but the search and its replays need the folder where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
@@ -319,7 +337,9 @@ def replays_of(request: Request, holds: Callable[[Run], None], node_id: str, scr
         test=holds,
         test_file=source_file(holds),
         node_id=node_id,
-        saved_node_id=lambda id_: f"{node_id.removesuffix(']')}{'-' if node_id.endswith(']') else '['}saved-{id_}]",
+        saved_node_id=lambda id_: (
+            f"{node_id.removesuffix(']')}{'-' if node_id.endswith(']') else '['}saved-{id_}]"
+        ),
         folder=folder,
         records=scratch / "records",
         root=Path.cwd(),

@@ -62,8 +62,12 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
     test_file = source_file(test) if test_file is None else test_file
     if (broken := ads_failure(run)) is not None:
         is_timed = run.outcome is Outcome.HANG
-        exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
-        return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
+        exception = PlainFailure(
+            ads_text(broken, " (depends on wall-clock time)" if is_timed else "")
+        )
+        return Verdict(
+            kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True
+        )
     # The function is not called for collisions for which only an NPC is responsible.
     if blame != "any" and run.responsibility == "npc":
         return Verdict(kind="npc")
@@ -71,7 +75,9 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
 
 
 def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
-    recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs))
+    recording = Recording(
+        hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs)
+    )
     try:
         with recorded(recording):
             result = test(run)
@@ -119,11 +125,17 @@ def headline(run: Run, verdict: Verdict) -> str:
     if verdict.failure is not None and verdict.failure.check is not None:
         return str(verdict.failure.check)
     line = collision_in_short(run) or run.explain().splitlines()[0]
-    first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
+    first = (
+        verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
+    )
     is_bare = run.collision is not None and first.startswith("assert ")
     if is_bare or not first or re.split(r":|, | at ", line)[0] in first:
         return line
-    kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
+    kind = (
+        ""
+        if isinstance(verdict.exception, AssertionError)
+        else f"{type(verdict.exception).__name__}: "
+    )
     return f"{kind}{first[:120]} ({line})"
 
 
@@ -184,12 +196,20 @@ class SetupFaultError(Exception):
     def first_decision(self, world: BaseWorld, policy: Policy, *, of_si: str, of_env: str) -> str:
         asked = None if policy.drives_itself else world.first_decision(self.run.trace.scenario)
         # If the world has no advice, it depends on whether the decision is in SI units or the environment's.
-        return "" if asked is None else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
+        return (
+            ""
+            if asked is None
+            else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
+        )
 
     def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
         """Return the exception to raise, with an explanation and advice."""
         verdict = self.verdict
-        nothing = "so nothing was saved" if not self.is_replay else "so it shows nothing about any saved scenario"
+        nothing = (
+            "so nothing was saved"
+            if not self.is_replay
+            else "so it shows nothing about any saved scenario"
+        )
         again = "replay" if self.is_replay else "search"
         if verdict.is_ads or verdict.exception is None:
             asked = self.first_decision(
@@ -214,7 +234,11 @@ class SetupFaultError(Exception):
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     """Return the cause of a failure that could be due to a fault in the set-up, or None."""
     failure = verdict.failure  # an assertion is never a fault of the set-up
-    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
+    if (
+        failure is None
+        or failure.kind == AssertionError.__name__
+        or isinstance(verdict.exception, assertions())
+    ):
         return None
     if not verdict.is_ads:
         return failure.kind, failure.assertion
@@ -222,13 +246,17 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     # After the first decision, or if the ADS hangs, the cause can be the scenario or the machine.
     if error is None or error.tick > 0 or error.interrupted:
         return None
-    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
+    return error.kind, next(
+        (line for line in reversed(error.traceback.splitlines()) if "File " in line), ""
+    )
 
 
 def unit_doubt(trace: Trace) -> str:
     """Return a hint if a planner's actions seem not to be in SI units, or an empty string."""
     steering = speed = acceleration = 0.0
-    for action in trace.actions:  # one loop without calls, which is fast, because each run is checked
+    for (
+        action
+    ) in trace.actions:  # one loop without calls, which is fast, because each run is checked
         if type(action) is tuple and len(action) == 2:
             wanted, angle = action
             steering = abs(angle) if not -steering <= angle <= steering else steering
@@ -270,7 +298,9 @@ class Reference:
         return self.name or "the reference"
 
 
-def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], tested: Policy) -> Reference | None:
+def reference_of(
+    given: object, fixture: Callable[[str], Callable[..., Any]], tested: Policy
+) -> Reference | None:
     """Return the reference that the option ``against`` specifies, or None.
 
     Raises:
@@ -287,9 +317,13 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], te
     if not callable(found):
         raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
-            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(". ")
+            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(
+                ". "
+            )
         )
-    reference = Reference(policy=Policy(found), name=given if isinstance(given, str) else name_of(found))
+    reference = Reference(
+        policy=Policy(found), name=given if isinstance(given, str) else name_of(found)
+    )
     if same := same_policy(tested.factory, found):
         raise AgainstError(f"against ({reference.shown}): {same}")
     return reference
@@ -329,13 +363,22 @@ def _parts(factory: Any) -> object:
 BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
 
 
-def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple[str, str]]) -> Counter[str]:
+def _contents(
+    files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple[str, str]]
+) -> Counter[str]:
     # Hash the source files. If they open data next to them, hash the data, too, except in folders that both have.
     hashes = Counter(digest for _, digest in files.values())
     if any(path.is_file() and BY_ITS_PLACE.search(path.read_bytes()) for path in files):
         folders = {path.parent for path in files} - {path.parent for path in others}
-        data = (path for folder in folders for path in folder.rglob("*") if path.suffix not in (".py", ".pyc"))
-        hashes.update(hashlib.sha256(path.read_bytes()).hexdigest() for path in data if path.is_file())
+        data = (
+            path
+            for folder in folders
+            for path in folder.rglob("*")
+            if path.suffix not in (".py", ".pyc")
+        )
+        hashes.update(
+            hashlib.sha256(path.read_bytes()).hexdigest() for path in data if path.is_file()
+        )
     return hashes
 
 
@@ -349,12 +392,16 @@ class Harness:
     test: Test
     test_file: str
     node_id: str  # the node id of the test, without the part that the plugin adds
-    saved_node_id: Callable[[str], str]  # returns the node id of the item for the id of a saved scenario
+    saved_node_id: Callable[
+        [str], str
+    ]  # returns the node id of the item for the id of a saved scenario
     folder: Path  # the folder of the test's saved scenarios
     records: Path  # the folder of crash records
     root: Path  # the folder of the project; paths in messages are relative to it
     versions: dict[str, str]  # versions of the packages that affect a run
-    against: Reference | None = None  # the reference, which must pass a scenario for a failure to count
+    against: Reference | None = (
+        None  # the reference, which must pass a scenario for a failure to count
+    )
     cluster: Cluster | None = None  # the workers on other machines that run scenarios, if any
     # True if the run is the only argument of the test function, so that forked processes can call it, too
     needs_only_run: bool = False
@@ -397,7 +444,9 @@ class Harness:
             job = replace(job, policy=self.against.policy, reference=self.against.shown)
             return runner_for(job, record, isolate=isolate)
 
-    def judge_reference(self, runner: Here, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
+    def judge_reference(
+        self, runner: Here, scenario: Scenario, world: BaseWorld | None = None
+    ) -> Verdict:
         __tracebackhide__ = True
         return self.run_reference(runner, scenario, world)[1]
 
@@ -410,7 +459,9 @@ class Harness:
             with refusals("the reference"):
                 trace = runner.once(scenario)
         except ProcessLostError as error:
-            return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True)
+            return None, Verdict(
+                kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True
+            )
         except RequestError as error:
             text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
             named = f" ({self.against_name})" if self.against_name else ""
@@ -425,7 +476,9 @@ class Harness:
             with job.crash_record() as record:
                 yield record
         finally:
-            with suppress(OSError):  # The folder has records of other processes, or was never created.
+            with suppress(
+                OSError
+            ):  # The folder has records of other processes, or was never created.
                 self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
@@ -465,12 +518,19 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
 def is_same_run(a: Run, b: Run) -> bool:
     """Return whether two runs are identical to the last bit."""
     first, second = a.trace.states, b.trace.states
-    return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()
+    return (
+        a.outcome == b.outcome
+        and first.shape == second.shape
+        and first.tobytes() == second.tobytes()
+    )
 
 
 def begins_alike(run: Run, longer: Run) -> bool:
     """Return whether ``longer`` starts with the same states as ``run``."""
     first, second = run.trace.states, longer.trace.states
-    if len(second) <= len(first) or run.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD):  # nothing to continue
+    if len(second) <= len(first) or run.outcome not in (
+        Outcome.COMPLETED,
+        Outcome.OFF_ROAD,
+    ):  # nothing to continue
         return is_same_run(run, longer)
     return first.tobytes() == second[: len(first)].tobytes()

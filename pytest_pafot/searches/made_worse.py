@@ -36,7 +36,9 @@ class MadeWorse:
     bench: Bench
     store: Store
     end: float  # time at which random scenarios must end [s], or infinity
-    paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))  # counts of the random scenarios
+    paired: Paired = field(
+        default_factory=lambda: Paired(most=PAIRS)
+    )  # counts of the random scenarios
 
     def compare(self, space: SearchSpace) -> Refining[None]:
         """Run random scenarios with both policies, and dismiss the findings if the new policy is no worse."""
@@ -49,9 +51,16 @@ class MadeWorse:
         results = bench.results(ahead, self.state, fatal.__contains__)
         with bench.runner, suppress(OutOfTime):
             for scenario in scenarios:
-                yield Phase(f"comparing policies in random scenario {self.paired.runs + 1} of {PAIRS}", "comparison")
+                yield Phase(
+                    f"comparing policies in random scenario {self.paired.runs + 1} of {PAIRS}",
+                    "comparison",
+                )
                 with runs_end_in(self.end - self.state.clock()):
-                    new, old = (False, False) if scenario in fatal else (yield from self._fail(next(results)))
+                    new, old = (
+                        (False, False)
+                        if scenario in fatal
+                        else (yield from self._fail(next(results)))
+                    )
                 self.paired = self.paired.with_run(new=new, old=old)
                 if self.paired.is_worse is not None:
                     break
@@ -74,11 +83,19 @@ class MadeWorse:
     def _dismiss(self, sightings: Iterable[Seen]) -> Iterator[SearchEvent]:
         # An exception or a hang stays a finding, however often it occurs.
         state, harness = self.state, self.bench.harness
-        way_out = f"A search without {harness.request.option('against')} counts and saves such findings"
-        told = f"the policy fails no more often than {harness.against_name}: {self.paired}. {way_out}"
+        way_out = (
+            f"A search without {harness.request.option('against')} counts and saves such findings"
+        )
+        told = (
+            f"the policy fails no more often than {harness.against_name}: {self.paired}. {way_out}"
+        )
         for sighting in list(sightings):
             expect = sighting.finding.expect
             if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
                 yield from self.store.dismiss(sighting, told)
         # A later session that finds one of them again decides again.
-        state.finds = {signature: id_ for signature, id_ in state.finds.items() if id_ not in self.store.dismissed}
+        state.finds = {
+            signature: id_
+            for signature, id_ in state.finds.items()
+            if id_ not in self.store.dismissed
+        }

@@ -48,9 +48,15 @@ class Option(NamedTuple):
     least: float = 0  # the smallest accepted number
     most: float = SEED_LIMIT - 1  # the largest accepted whole number
     choices: tuple[str, ...] = ()  # the accepted strings; empty if any string is accepted
-    or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
-    everywhere: bool = True  # False if it applies to a single session, so that only the command line accepts it
-    is_argument: bool = True  # False for an option of the whole session, which is not an argument of the mark
+    or_class: bool = (
+        False  # True if a class or function, or its ``module:name``, is accepted as well
+    )
+    everywhere: bool = (
+        True  # False if it applies to a single session, so that only the command line accepts it
+    )
+    is_argument: bool = (
+        True  # False for an option of the whole session, which is not an argument of the mark
+    )
 
     @property
     def flag(self) -> str:
@@ -65,7 +71,13 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """The placeholder in the help, such as ``SECONDS``."""
-        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "FILE.html", "switch": ""}
+        shown = {
+            "integer": "N",
+            "day": "YYYY-MM-DD",
+            "workers": "N",
+            "page": "FILE.html",
+            "switch": "",
+        }
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
@@ -79,7 +91,11 @@ class Option(NamedTuple):
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            hint = ". For your own class, write module:Class, or pass the class in Python" if self.or_class else ""
+            hint = (
+                ". For your own class, write module:Class, or pass the class in Python"
+                if self.or_class
+                else ""
+            )
             from pytest_pafot.support.text import suggest  # noqa: PLC0415  (for few sessions)
 
             hint = suggest(value, self.choices) or hint
@@ -87,9 +103,13 @@ class Option(NamedTuple):
         return typed
 
 
-def option(kind: Kind, text: str, details: str = "", *, default: object = None, **known: Any) -> Any:
+def option(
+    kind: Kind, text: str, details: str = "", *, default: object = None, **known: Any
+) -> Any:
     """Return a field for :class:`Settings`. Keyword arguments are fields of :class:`Option`."""
-    return field(default=default, metadata={"kind": kind, "help": text, "details": details, **known})
+    return field(
+        default=default, metadata={"kind": kind, "help": text, "details": details, **known}
+    )
 
 
 # Command-line options, ini and toml keys, arguments of the mark and of `pafot.explore`, and the reference documentation
@@ -160,7 +180,11 @@ class Settings:
         is_argument=False,
     )
     save: str = option(
-        "text", "Save new findings (new) or nothing (none).", default="new", choices=("new", "none"), is_argument=False
+        "text",
+        "Save new findings (new) or nothing (none).",
+        default="new",
+        choices=("new", "none"),
+        is_argument=False,
     )
     workers: int = option(
         "workers",
@@ -237,7 +261,9 @@ class Settings:
 
     def __init__(self, **given: Any) -> None:
         for name, value in ({each.name: each.default for each in fields(self)} | given).items():
-            object.__setattr__(self, name, value)  # raises an error for an unknown name, which has no slot
+            object.__setattr__(
+                self, name, value
+            )  # raises an error for an unknown name, which has no slot
 
     @property
     def is_search(self) -> bool:
@@ -247,11 +273,17 @@ class Settings:
     @property
     def repeated(self) -> list[str]:
         """The command-line options that request the same search."""
-        return [flag(name, value) for name in (*BUDGETS, "seed") if (value := getattr(self, name)) is not None]
+        return [
+            flag(name, value)
+            for name in (*BUDGETS, "seed")
+            if (value := getattr(self, name)) is not None
+        ]
 
 
 OPTIONS: tuple[Option, ...] = tuple(
-    Option(each.name, default=each.default, **each.metadata) for each in fields(Settings) if each.metadata
+    Option(each.name, default=each.default, **each.metadata)
+    for each in fields(Settings)
+    if each.metadata
 )
 
 BY_NAME: Mapping[str, Option] = {each.name: each for each in OPTIONS}
@@ -267,9 +299,19 @@ def _read_integer(option: Option, value: object) -> int:
         number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
-    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number <= option.most:
-        limit = f" and at most {option.most}" if isinstance(number, int) and number > option.most else ""
-        raise RequestError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
+    if (
+        isinstance(number, bool)
+        or not isinstance(number, int)
+        or not option.least <= number <= option.most
+    ):
+        limit = (
+            f" and at most {option.most}"
+            if isinstance(number, int) and number > option.most
+            else ""
+        )
+        raise RequestError(
+            f"expected a whole number, at least {option.least:g}{limit}, received {value!r}"
+        )
     return number
 
 
@@ -286,11 +328,17 @@ def _read_workers(option: Option, value: object) -> int:
 
 def _read_seconds(option: Option, value: object) -> float:
     try:
-        seconds = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else -1.0
+        seconds = (
+            float(value)
+            if isinstance(value, (str, int, float)) and not isinstance(value, bool)
+            else -1.0
+        )
     except ValueError:
         seconds = -1.0
     if not option.least <= seconds < float("inf"):
-        raise RequestError(f"expected a number of seconds, at least {option.least:g}, received {value!r}")
+        raise RequestError(
+            f"expected a number of seconds, at least {option.least:g}, received {value!r}"
+        )
     return seconds
 
 
@@ -320,14 +368,25 @@ def _read_page(option: Option, value: object) -> str:
 def _read_file(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.endswith(("/", "\\")):
-        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder. Use {text}pafot.json")
+        raise RequestError(
+            f"expected the name of a file, received {value!r}, which is a folder. Use {text}pafot.json"
+        )
     return text
 
 
 def _read_switch(option: Option, value: object) -> bool:
     if isinstance(value, bool):
         return value
-    words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
+    words = {
+        "1": True,
+        "true": True,
+        "yes": True,
+        "on": True,
+        "0": False,
+        "false": False,
+        "no": False,
+        "off": False,
+    }
     word = value.lower() if isinstance(value, str) else None
     if word not in words:
         raise RequestError(f"expected true or false, received {value!r}")

@@ -80,7 +80,9 @@ class Replays:
     """The replays of one test's saved scenarios."""
 
     harness: Harness
-    today: date | None = None  # the day on which acceptances must be valid; None if no failure is accepted
+    today: date | None = (
+        None  # the day on which acceptances must be valid; None if no failure is accepted
+    )
 
     def shown_by(self, saved: Iterable[Saved]) -> tuple[dict[Signature, str], Accepted]:
         """Replay saved scenarios, and return the known failures and accepted speeds."""
@@ -106,7 +108,11 @@ class Replays:
                 shown = _signature(now)
                 # The reference runs past the end of the file if the ADS does. Otherwise, it runs as in a search.
                 sought = partial(is_same_failure, finding) if now.is_later else None
-                if shown is not None and self._compared(each, world, owner, now, sought).reference_passes is not False:
+                if (
+                    shown is not None
+                    and self._compared(each, world, owner, now, sought).reference_passes
+                    is not False
+                ):
                     cover(shown, each.id, finding.worst_known if now.is_accepted else math.inf)
         return known, accepted
 
@@ -118,10 +124,16 @@ class Replays:
         if not self.accepts(finding):
             return now
         died = now.verdict.exception if now.verdict is not None else None
-        beyond = f"a process that {died.end}" if isinstance(died, ProcessLostError) and not now.is_same else ""
+        beyond = (
+            f"a process that {died.end}"
+            if isinstance(died, ProcessLostError) and not now.is_same
+            else ""
+        )
         if now.run is not None and now.verdict is not None and now.verdict.failure is not None:
             same_versions = not self.version_changes(finding)
-            beyond = beyond_acceptance(finding, now.run, now.verdict.failure, same_versions=same_versions)
+            beyond = beyond_acceptance(
+                finding, now.run, now.verdict.failure, same_versions=same_versions
+            )
         return replace(now, is_accepted=not beyond, beyond=beyond)
 
     def still_fails(self, saved: Saved) -> bool:
@@ -186,7 +198,11 @@ class Replays:
 
     def is_apart(self, saved: Saved, owner: str) -> bool:
         harness = self.harness
-        return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
+        return bool(
+            harness.request.settings.isolate
+            or saved.needs_own_process
+            or harness.left_behind(owner)
+        )
 
     def check_set_up(self, saved: Saved, run: Run, verdict: Verdict, owner: str) -> None:
         """Check that a replay fails because of its scenario, and not because of the set-up.
@@ -202,18 +218,32 @@ class Replays:
         isolate = self.is_apart(saved, owner)
         try:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
-            with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
+            with (
+                harness.recording(job) as record,
+                refusals(),
+                runner_for(job, record, isolate=isolate) as runner,
+            ):
                 for number in range(PROBES):
                     probe = harness.run_of(runner.once(sample(space, rng_of(number))))
                     judged = harness.judge(probe)
                     if judged.kind not in UNJUDGED and cause_of(probe, judged) != cause:
                         return
-        except (RequestError, ProcessLostError):  # It is not the error of the replay. The search reports it.
+        except (
+            RequestError,
+            ProcessLostError,
+        ):  # It is not the error of the replay. The search reports it.
             return
-        raise SetupFaultError(run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True)
+        raise SetupFaultError(
+            run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True
+        )
 
     def _compared(
-        self, saved: Saved, world: BaseWorld, owner: str, now: Observed, sought: Sought | None = None
+        self,
+        saved: Saved,
+        world: BaseWorld,
+        owner: str,
+        now: Observed,
+        sought: Sought | None = None,
     ) -> Observed:
         # The reference runs in a separate process if the ADS does. If it passes, and a failure is `sought`, it runs
         # again, past the end of the file, and fails if that run shows the failure.
@@ -225,10 +255,19 @@ class Replays:
             later, then = self._of_reference(saved, _longer(saved, world), owner)
             now = replace(now, is_lost=now.is_lost or later is None)
             failure = None if then is None else then.failure
-            if later is not None and then is not None and failure is not None and begins_alike(run, later):
+            if (
+                later is not None
+                and then is not None
+                and failure is not None
+                and begins_alike(run, later)
+            ):
                 verdict = then if has_time(later, failure) and sought(later, failure) else verdict
         # The verdict on the policy includes the verdict on the reference, so that reports can compare the two.
-        own = replace(now.verdict, reference=verdict) if now.fails and now.verdict is not None else now.verdict
+        own = (
+            replace(now.verdict, reference=verdict)
+            if now.fails and now.verdict is not None
+            else now.verdict
+        )
         return replace(now, reference_passes=verdict.passes, verdict=own)
 
     def _of_reference(
@@ -298,12 +337,22 @@ class Replays:
         is_hit = is_alike and _is_hit_soon(finding, first, run)
         hit = f"the same NPC still collides with the ego {PAST_END} ({headline(run, verdict)})"
         note = hit if is_hit else second.note
-        passed = replace(now, note=note, is_lost=second.is_lost, is_handled=now.is_handled and not is_hit)
+        passed = replace(
+            now, note=note, is_lost=second.is_lost, is_handled=now.is_handled and not is_hit
+        )
         passed = replace(passed, is_unsteady=finding.flaky is not None or not is_alike)
         failure = verdict.failure if verdict.failed else None
         if failure is None:
             return passed
-        failed = replace(passed, fails=True, is_same=True, is_later=True, is_unsteady=True, run=run, verdict=verdict)
+        failed = replace(
+            passed,
+            fails=True,
+            is_same=True,
+            is_later=True,
+            is_unsteady=True,
+            run=run,
+            verdict=verdict,
+        )
         # The failure occurred after the end of the file, unless the test function or a clock decides by chance.
         if not is_alike or run.trace.ticks <= first.trace.ticks or self.harness.judge(first).failed:
             return failed
@@ -312,7 +361,11 @@ class Replays:
         is_event = failure.check is not None or run.outcome in HAS_EVENT
         when = describe_result(finding, run, failure) if is_event else headline(run, verdict)
         if not is_same_failure(finding, run, failure):
-            return passed if is_hit else replace(passed, note=f"a different failure occurs {PAST_END}: {when}")
+            return (
+                passed
+                if is_hit
+                else replace(passed, note=f"a different failure occurs {PAST_END}: {when}")
+            )
         note = f"the same failure occurs {PAST_END}: {when}"
         is_firm = finding.flaky is None and self._is_repeatable(saved, world, owner, run)
         return replace(failed, is_unsteady=not is_firm, note=note)
@@ -355,14 +408,27 @@ class Replays:
         __tracebackhide__ = True
         finding = _finding(saved)
         changes = [] if finding.expect.is_crash else self.version_changes(finding)
-        now = Observed(is_elsewhere=bool(changes or self.world_changes(finding) or self.sight_change(finding)))
+        now = Observed(
+            is_elsewhere=bool(changes or self.world_changes(finding) or self.sight_change(finding))
+        )
         try:
             run, verdict = self.tried(saved, world, owner)
             is_handled = verdict.passes and handles(finding, run)
             is_same = verdict.failed and is_same_event(finding.expect, run, verdict.failure)
-            now = replace(now, fails=verdict.failed, is_same=is_same, is_handled=is_handled, run=run, verdict=verdict)
+            now = replace(
+                now,
+                fails=verdict.failed,
+                is_same=is_same,
+                is_handled=is_handled,
+                run=run,
+                verdict=verdict,
+            )
             # Run a pass again, past the end of the file, because a slower policy fails a little later.
-            if not verdict.failed and not verdict.discarded and not (finding.rate and finding.flaky):
+            if (
+                not verdict.failed
+                and not verdict.discarded
+                and not (finding.rate and finding.flaky)
+            ):
                 now = self._repeated(saved, world, owner, now)
             if finding.rate is not None and not verdict.discarded:
                 now = self._by_rate(saved, world, owner, now)
@@ -386,7 +452,9 @@ class Replays:
             runner_for(job, record, isolate=self.is_apart(saved, owner)) as runner,
         ):
             for number in range(1, RUNS + 1):
-                scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)
+                scenario = (
+                    finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)
+                )
                 run = harness.run_of(runner.once(scenario), world)
                 verdict = harness.judge(run)
                 failing += verdict.failed
@@ -397,7 +465,12 @@ class Replays:
         rate = FailureRate(failing=failing)
         drawn = finding.drawn + ("" if failing or finding.flaky else none_text(RUNS, finding.drawn))
         told = f"failed {how} {then} {finding.drawn} when it was found, and now fails {how} {rate} {drawn}"
-        return replace(shown, is_rare=then.failing < ENOUGH, note="; ".join(filter(None, [now.note, told])), rate=rate)
+        return replace(
+            shown,
+            is_rare=then.failing < ENOUGH,
+            note="; ".join(filter(None, [now.note, told])),
+            rate=rate,
+        )
 
     def version_changes(self, finding: Finding) -> list[str]:
         then, now = finding.found.versions, self.harness.versions
@@ -405,13 +478,19 @@ class Replays:
         return [f"{name} {now.get(name, 'none')} instead of {then[name]}" for name in other]
 
     def world_changes(self, finding: Finding) -> list[str]:
-        own = self.harness.world  # its runs may be shorter than in the file, even if nothing else differs
-        return codec.changes(finding.world, own) or codec.describe_limits(finding.world, finding.scenario, own)
+        own = (
+            self.harness.world
+        )  # its runs may be shorter than in the file, even if nothing else differs
+        return codec.changes(finding.world, own) or codec.describe_limits(
+            finding.world, finding.scenario, own
+        )
 
     def setting_changes(self, finding: Finding) -> list[str]:
         """Describe the differences in world, traffic and perception between a file and the test."""
         # A replay uses the file's traffic and, if the file's world is data, this world.
-        elsewhere = ", ".join(codec.describe_world_change(finding.world, finding.scenario, self.harness.world))
+        elsewhere = ", ".join(
+            codec.describe_world_change(finding.world, finding.scenario, self.harness.world)
+        )
         told = [f"run in the file's world, not the test's: {elsewhere}"] if elsewhere else []
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
         if now is not None and now != then:
@@ -424,7 +503,11 @@ class Replays:
         return [] if then == now else [f"found with {then.described}, but run with {now.described}"]
 
     def changes(self, finding: Finding, now: str) -> str:
-        changed = [event_change(finding, now), *self.version_changes(finding), *self.setting_changes(finding)]
+        changed = [
+            event_change(finding, now),
+            *self.version_changes(finding),
+            *self.setting_changes(finding),
+        ]
         return "; ".join(filter(None, changed)) or "the run differs from the saved one"
 
 
@@ -449,14 +532,22 @@ def describe_result(finding: Finding, run: Run, failure: Failure | None) -> str:
         return f"{failure.check.name} failed{when}"
     if finding.expect.check is not None:
         return ending(run) if failure is None else failure.kind
-    return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
+    return (
+        _event(run.outcome, run.event_time)
+        if run.outcome is finding.expect.outcome
+        else ending(run)
+    )
 
 
 def _signature(now: Observed) -> Signature | None:
     if now.verdict is not None and isinstance(now.verdict.exception, ProcessLostError):
         return expectation(now.verdict.exception).signature
     run, verdict = now.ran
-    return signature_of_failure(run, verdict.failure) if now.fails and verdict.failure is not None else None
+    return (
+        signature_of_failure(run, verdict.failure)
+        if now.fails and verdict.failure is not None
+        else None
+    )
 
 
 def _by_chance(finding: Finding, now: Observed, run: Run, verdict: Verdict) -> Observed:
@@ -472,7 +563,9 @@ def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:
     # Return whether the NPC of the file hits the ego shortly after the end of `run`, which `longer` continues. It does
     # not matter who is responsible, because the same collision may now be the fault of another party.
     expect, hit = finding.expect, longer.collision
-    is_collision = expect.outcome is Outcome.COLLISION and expect.check is None and expect.npc is not None
+    is_collision = (
+        expect.outcome is Outcome.COLLISION and expect.check is None and expect.npc is not None
+    )
     if not is_collision or run.collision is not None or hit is None or hit.npc != expect.npc:
         return False
     return hit.time <= run.duration + SOON

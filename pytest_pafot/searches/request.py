@@ -104,20 +104,30 @@ class Request:
     blame: str = "any"
     fitness: str | Fitness = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
-    space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
+    space: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # arguments of the mark for a SearchSpace
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
-        return flag(name, value) if self.place.startswith("@") else f"{name}={'...' if value is None else repr(value)}"
+        return (
+            flag(name, value)
+            if self.place.startswith("@")
+            else f"{name}={'...' if value is None else repr(value)}"
+        )
 
     def error(self, arguments: str, problem: object) -> RequestError:
         return RequestError(f"{self.place}({arguments}): {problem}")
 
 
-def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
+def checked_request(
+    arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search"
+) -> Request:
     """Build and check the request for some arguments and settings, or raise a RequestError."""
     try:
-        algorithm = resolve_algorithm(settings.algorithm or ("pafot" if settings.generations else "random"))
+        algorithm = resolve_algorithm(
+            settings.algorithm or ("pafot" if settings.generations else "random")
+        )
     except ValueError as error:
         raise RequestError(str(error)) from error
     if algorithm.draws_by_number and settings.generations:
@@ -139,7 +149,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         settings=settings,
         algorithm=algorithm,
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
-        space={name: arguments[name] for name in SpaceArguments.__annotations__ if arguments.get(name) is not None},
+        space={
+            name: arguments[name]
+            for name in SpaceArguments.__annotations__
+            if arguments.get(name) is not None
+        },
         place=place,
         **own,
     )
@@ -156,7 +170,9 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
             "failures except collisions for which only an NPC is at fault",
         )
     for name in BUDGETS:
-        if arguments.get(name) is not None and int(arguments[name]) == 0:  # or "0"; the search would always pass
+        if (
+            arguments.get(name) is not None and int(arguments[name]) == 0
+        ):  # or "0"; the search would always pass
             problem = f"expected at least 1, because 0 {name} test nothing. To only replay, use {flag('runs', 0)}"
             raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
@@ -184,7 +200,9 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
             f"{place}({unknown}=...): expected an argument of a search, received one of a world. Write "
             f"world=pafot.Highway({unknown}=...)"
         )
-    expected = f"expected one of {', '.join(sorted(known))}, received {unknown!r}{suggest(unknown, known)}"
+    expected = (
+        f"expected one of {', '.join(sorted(known))}, received {unknown!r}{suggest(unknown, known)}"
+    )
     raise RequestError(f"{place}({unknown}=...): {expected}")
 
 
@@ -197,7 +215,9 @@ def build_world(request: Request, fixture_world: Any) -> BaseWorld:
     if request.world is not None:
         return request.world  # type: ignore[no-any-return]  # it is already checked
     # If the mark specifies the length of the chains, runs on the fixture's Highway have the same length.
-    if isinstance(fixture_world, Highway) and not {"genes", "gene_seconds"}.isdisjoint(request.space):
+    if isinstance(fixture_world, Highway) and not {"genes", "gene_seconds"}.isdisjoint(
+        request.space
+    ):
         try:
             space = SearchSpace(**request.space)
             fixture_world = replace(fixture_world, duration=space.genes * space.gene_seconds)
@@ -231,14 +251,20 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
                 "cannot follow tight curves",
             )
         # The paper's algorithms use the paper's space. The others have their own defaults.
-        drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
+        drawn = (
+            {}
+            if request.algorithm.is_papers
+            else drawn_space(world, {"instructions": kinds[-1], **request.space})
+        )
         if request.algorithm.draws_vehicles:
             drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         # The user's arguments override the defaults. The world adds the rest, such as crossings and the length of the
         # chains.
         space = world.space({**drawn, **request.space})
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
-        sample(space, rng_of(0))  # so that a wrong argument raises one clear error before the search starts
+        sample(
+            space, rng_of(0)
+        )  # so that a wrong argument raises one clear error before the search starts
     except WorldError as error:
         raise request.error("world=...", error) from None
     except (TypeError, ValueError) as error:
@@ -256,7 +282,10 @@ def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
     road = world.straight_road
     if road is None:
         if draws_genes and in_lanes:
-            drawn |= {"gene_seconds": SLICE, "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9))}
+            drawn |= {
+                "gene_seconds": SLICE,
+                "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9)),
+            }
         return drawn | _crossing_space(world, given)
     # On a straight road, add patterns of traffic, and sample the number of NPCs, the durations and the start if they
     # are not given. An environment defines the start of its ego, so the start is sampled only for other worlds.
@@ -288,7 +317,10 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
     crossings = world.crossings
     if crossings is None:
         return {}
-    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": min(MOST_ON_GRID, world.most_on_grid)}
+    drawn: dict[str, Any] = {
+        "crossings": crossings,
+        "most_on_grid": min(MOST_ON_GRID, world.most_on_grid),
+    }
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
 
 
@@ -301,7 +333,9 @@ def _refuse_other_worlds(given: Any, start: str) -> BaseWorld:
         raise RequestError(f"{start} {error.expected}, received {error.received}{hint}") from None
 
 
-def named_world(reference: str, place: str, *, config: dict[str, Any] | None = None, is_planner: bool = False) -> Any:
+def named_world(
+    reference: str, place: str, *, config: dict[str, Any] | None = None, is_planner: bool = False
+) -> Any:
     """Return the world that a string such as ``module:factory`` names.
 
     Args:
@@ -326,19 +360,33 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         raise RequestError(f"{place}: {error}") from error
     if config is not None:
         fix = "Set the options in the factory, as in pafot.World(..., config=...)"
-        raise RequestError(f"{place}: expected the id of an environment for --config, received {reference!r}. {fix}")
+        raise RequestError(
+            f"{place}: expected the id of an environment for --config, received {reference!r}. {fix}"
+        )
     try:
         made = factory()
     except (Exception, SystemExit) as error:
         # If the code of the factory has not started, it was called with too few or too many arguments.
-        begun = not isinstance(error, TypeError) or error.__traceback__ is None or error.__traceback__.tb_next
-        fix = "Correct it" if begun else "Add its argument to the string, as in module:factory:argument"
+        begun = (
+            not isinstance(error, TypeError)
+            or error.__traceback__ is None
+            or error.__traceback__.tb_next
+        )
+        fix = (
+            "Correct it"
+            if begun
+            else "Add its argument to the string, as in module:factory:argument"
+        )
         received = f"{reference!r}, which raises {described(error)}"
-        raise RequestError(f"{place}: expected a factory that returns a world, received {received}. {fix}") from error
+        raise RequestError(
+            f"{place}: expected a factory that returns a world, received {received}. {fix}"
+        ) from error
     _refuse_other_worlds(made, f"{place}: expected the factory {reference!r} to return")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
         fix = "Return pafot.World(..., planner_hz=5) from the factory"
-        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is not one. {fix}")
+        raise RequestError(
+            f"{place}: expected a world for a planner, received {reference!r}, which is not one. {fix}"
+        )
     return made
 
 

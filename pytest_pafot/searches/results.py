@@ -12,7 +12,15 @@ from typing import Any, Literal, Self
 from pytest_pafot.algorithms.evaluation import Evaluation, Health, PlanFinished
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
+from pytest_pafot.execution.runner import (
+    CapturedOutput,
+    Chunk,
+    Job,
+    LostRun,
+    Timed,
+    expectation,
+    run_recorded,
+)
 from pytest_pafot.findings.finding import Finding, Found, is_faster, signature_of_failure, speed_of
 from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
@@ -32,7 +40,10 @@ Fails = Literal["", "ego", "check", "otherwise"]
 # For each known failure, the highest accepted closing speed [m/s], and the id of the file that accepts it.
 Accepted = dict[Signature, tuple[float, str]]
 
-UNJUDGED = ("npc", "invalid")  # the kinds of verdicts on runs for which the test function was not called
+UNJUDGED = (
+    "npc",
+    "invalid",
+)  # the kinds of verdicts on runs for which the test function was not called
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +106,9 @@ class Examiner:
     seed: int  # seed of the search
     # Returns the columns of a run table, as the note of an evaluation; None without a table.
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
-    accepted: Accepted = field(default_factory=dict)  # the failures that saved scenarios show or accept
+    accepted: Accepted = field(
+        default_factory=dict
+    )  # the failures that saved scenarios show or accept
 
     def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
         # For a known failure, only the signature is returned.
@@ -129,7 +142,9 @@ class Examiner:
             severity=verdict.severity,
             failed=failed,
             cause=cause_of(run, verdict),
-            caught=tuple({each.name for each in verdict.checks if not each.holds}) if verdict.kind == "passed" else (),
+            caught=tuple({each.name for each in verdict.checks if not each.holds})
+            if verdict.kind == "passed"
+            else (),
             doubt=unit_doubt(trace),
         )
 
@@ -151,7 +166,9 @@ class Examiner:
             failure,
             test=harness.node_id,
             world=codec.described(harness.world),
-            found=replace(found_by(harness, self.seed), worst_closing_speed=speed_of(verdict.severity)),
+            found=replace(
+                found_by(harness, self.seed), worst_closing_speed=speed_of(verdict.severity)
+            ),
             perception=harness.policy.sight,
             against="" if harness.against is None else harness.against.name,
             root=str(harness.root),
@@ -170,7 +187,13 @@ def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = 
     """Return the origin of a finding: seed, generation, algorithm, policy and versions."""
     algorithm = algorithm or harness.request.algorithm.name
     policy = policy_name(harness.policy.factory)
-    return Found(seed=seed, generation=generation, algorithm=algorithm, policy=policy, versions=harness.versions)
+    return Found(
+        seed=seed,
+        generation=generation,
+        algorithm=algorithm,
+        policy=policy,
+        versions=harness.versions,
+    )
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
@@ -189,7 +212,9 @@ def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) 
         interaction=False,
         discarded=True,
     )
-    return Result(evaluation=evaluation, kind="common" if expect is None else "failed", ended="lost")
+    return Result(
+        evaluation=evaluation, kind="common" if expect is None else "failed", ended="lost"
+    )
 
 
 @dataclass(slots=True, kw_only=True)
@@ -199,18 +224,26 @@ class Counts:
     # Numbers of runs by kind of verdict. They add up to the number of runs, as do the next two.
     kinds: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)  # numbers of runs by outcome
-    responsibilities: Counter[str] = field(default_factory=Counter)  # numbers of runs by who was responsible, or `none`
+    responsibilities: Counter[str] = field(
+        default_factory=Counter
+    )  # numbers of runs by who was responsible, or `none`
     # Numbers of valid runs that were neither rejected nor skipped, by how they failed, see Result.
     fails: Counter[str] = field(default_factory=Counter)
-    failures: dict[Signature, Alike] = field(default_factory=dict)  # the runs with each failure that counts
+    failures: dict[Signature, Alike] = field(
+        default_factory=dict
+    )  # the runs with each failure that counts
     # Numbers of runs by the cause of a failure that may be a fault of the set-up.
     causes: Counter[Cause] = field(default_factory=Counter)
     # Numbers of passed runs by the names of checks that failed in them.
     caught: Counter[str] = field(default_factory=Counter)
     decisions: int = 0  # number of decisions of the ADS
-    health: Health = field(default_factory=Health)  # counts that show whether the runs tested anything
+    health: Health = field(
+        default_factory=Health
+    )  # counts that show whether the runs tested anything
     doubt: str = ""  # the first doubt in a run, see Result
-    broken: str | None = None  # the first failure of the reference itself; empty if it did not fail in all its runs
+    broken: str | None = (
+        None  # the first failure of the reference itself; empty if it did not fail in all its runs
+    )
 
     @property
     def runs(self) -> int:
@@ -264,9 +297,13 @@ class Driver:
     """The function that other processes call to simulate chunks of a random search."""
 
     examiner: Examiner  # evaluates each run
-    drawn: Callable[[int], Scenario] | None = None  # returns the scenario with a number; None before the search starts
+    drawn: Callable[[int], Scenario] | None = (
+        None  # returns the scenario with a number; None before the search starts
+    )
 
-    def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
+    def __call__(
+        self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]
+    ) -> None:
         """Sample and simulate the scenarios of a chunk, and pass the results to ``say``."""
         assert self.drawn is not None  # noqa: S101  (it is set before the first chunk)
         known = set(chunk.known)
@@ -304,12 +341,16 @@ class State:
     """The state of a search in progress."""
 
     counts: Counts = field(default_factory=Counts)  # counts of all runs so far
-    fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
+    fatal: set[Scenario] = field(
+        default_factory=set
+    )  # scenarios in which a process died; they are not run
     is_random: bool = False  # whether all scenarios are random
     space: SearchSpace | None = None  # the space of its scenarios; None if it only replays
     clock: Callable[[], float] = monotonic  # returns the time [s]
     began: float = 0.0  # the time at which this session started [s]
-    shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by their failure
+    shown: Mapping[Signature, str] = field(
+        default_factory=dict
+    )  # ids of saved scenarios by their failure
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     is_set_up: bool = False  # True once the set-up is known to have no fault
     first: Scenario | None = None  # the first scenario that may show a fault of the set-up
@@ -348,7 +389,9 @@ class State:
         """Return the counts for the other runs with a new finding's failure."""
         signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
         kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
-        return replace(kept, runs=kept.runs - 1)  # -1 if only a run to shrink another finding failed in this way
+        return replace(
+            kept, runs=kept.runs - 1
+        )  # -1 if only a run to shrink another finding failed in this way
 
     @property
     def failures(self) -> dict[Signature, str]:
@@ -361,7 +404,11 @@ class State:
         """A note if only known failures of checks occurred, otherwise an empty string."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
         covered = self.covered
-        if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
+        if (
+            not covered
+            or covered.total() < self.counts.kinds["failed"]
+            or not checks.issuperset(covered)
+        ):
             return ""
         names = " and ".join(f"saved-{id_}" for id_ in sorted(covered))
         which = "only the known check" if len(covered) == 1 else "only the known checks"

@@ -88,13 +88,20 @@ def row_of(event: Evaluated) -> Row:
         "genes": scenario.chains_text,
         "outcome": str(evaluation.outcome),
         "failing": evaluation.failing,
-        "verdict": "failed" if evaluation.failing and not reused else None,  # also if the process died
+        "verdict": "failed"
+        if evaluation.failing and not reused
+        else None,  # also if the process died
         "fitness": _finite(evaluation.fitness),
         "duration": evaluation.duration,
         "kind": kind.slug if isinstance(kind, Signature) else None,
     }
     if hit is not None:
-        row |= {"collision_time": hit.time, "npc": hit.npc, "side": hit.side, "closing_speed": hit.closing_speed}
+        row |= {
+            "collision_time": hit.time,
+            "npc": hit.npc,
+            "side": hit.side,
+            "closing_speed": hit.closing_speed,
+        }
     return row
 
 

@@ -103,13 +103,18 @@ class SavedScenario:
             WorldError: if ``world`` is not a world.
         """
         if self.expect.is_crash:
-            expected, received = "a scenario that can run in this process", "one in which a process died"
+            expected, received = (
+                "a scenario that can run in this process",
+                "one in which a process died",
+            )
             fix = f"run `{command('pytest', self.path)}`, which replays it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         world = self.world if world is None else codec.checked_world(world)
         try:
             world.check_fits(self.scenario)
-            trace = GENERATORS.run(world.rollout, self.scenario, ads)  # some simulators check the scenario only now
+            trace = GENERATORS.run(
+                world.rollout, self.scenario, ads
+            )  # some simulators check the scenario only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
         return world.run_of(trace)

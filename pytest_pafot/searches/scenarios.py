@@ -10,7 +10,14 @@ from functools import partial
 from typing import Any
 
 from pytest_pafot.algorithms.catalogue import RandomSearch
-from pytest_pafot.algorithms.evaluation import EndReason, Evaluated, Evaluation, Event, PlanFinished, PlanStarted
+from pytest_pafot.algorithms.evaluation import (
+    EndReason,
+    Evaluated,
+    Evaluation,
+    Event,
+    PlanFinished,
+    PlanStarted,
+)
 from pytest_pafot.algorithms.plan import Algorithm, Plan
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Apart, Chunk, LostRun
@@ -114,10 +121,18 @@ class Numbers:
     bench: Bench
     number: int = 0  # number of the next scenario to be counted
     _given: int = 0  # the first number that is not assigned to another process
-    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))  # results of runs outside chunks
-    _driven: dict[Chunk, _Driven] = field(default_factory=dict)  # chunks in other processes, in the order of numbers
-    _early: deque[Early] = field(default_factory=deque)  # failures in later chunks, in the order of arrival
-    _alone: int = 0  # the end of the chunk in which a process died; its scenarios are run one by one
+    _results: Iterator[Result | LostRun] = field(
+        default_factory=lambda: iter(())
+    )  # results of runs outside chunks
+    _driven: dict[Chunk, _Driven] = field(
+        default_factory=dict
+    )  # chunks in other processes, in the order of numbers
+    _early: deque[Early] = field(
+        default_factory=deque
+    )  # failures in later chunks, in the order of arrival
+    _alone: int = (
+        0  # the end of the chunk in which a process died; its scenarios are run one by one
+    )
     _suspect: LostRun | None = None  # that death, until the scenario that caused it is known
 
     def __post_init__(self) -> None:
@@ -172,25 +187,42 @@ class Numbers:
             self._results = self.bench.results(drawn, state, state.fatal.__contains__)
             result = next(self._results)
         if isinstance(result, ProcessLostError):
-            self._suspect = None  # The scenario that killed the process of its chunk has done so again.
+            self._suspect = (
+                None  # The scenario that killed the process of its chunk has done so again.
+            )
         return result
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
-        event = Evaluated(generation=self.number, local_generation=0, index=0, evaluation=evaluation, reused=reused)
+        event = Evaluated(
+            generation=self.number,
+            local_generation=0,
+            index=0,
+            evaluation=evaluation,
+            reused=reused,
+        )
         self.count(1)
         return (event,)
 
     def count(self, runs: int) -> None:
         self.number += runs
         self._given = max(self._given, self.number)
-        if self._suspect is not None and self.number >= self._alone and isinstance(self.bench.runner, Apart):
+        if (
+            self._suspect is not None
+            and self.number >= self._alone
+            and isinstance(self.bench.runner, Apart)
+        ):
             self.bench.runner.recovered.append(self._suspect)
             self._suspect = None
 
     def finished(self, reason: EndReason, seconds: float) -> Iterator[Event]:
         self._results = iter(())
         yield PlanFinished(
-            reason=reason, generations=0, evaluated=self.number, simulated=self.number, best=None, seconds=seconds
+            reason=reason,
+            generations=0,
+            evaluated=self.number,
+            simulated=self.number,
+            best=None,
+            seconds=seconds,
         )
 
     def _give(self, state: State) -> None:

@@ -106,7 +106,9 @@ class TimedWatch(Watch):
             return self.earliest_end
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
         to_compare = 0 if harness.against is None else 2 * PAIRS
-        run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
+        run_seconds = (
+            (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
+        )
         seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
         return max(self.earliest_end, self.limit - seconds)
 
@@ -204,7 +206,9 @@ def search(
                 failed = done.failed
                 # Save it before the next scenario, so that nothing is lost.
                 if failed is not None and failed.signature not in state.known:
-                    state.finds[failed.signature] = yield from _confirmed(done, failed, state, bench, store, watch)
+                    state.finds[failed.signature] = yield from _confirmed(
+                        done, failed, state, bench, store, watch
+                    )
                 happened = scenarios.take(done.evaluation)
             case Evaluation():
                 happened = scenarios.take(done, reused=True)
@@ -218,14 +222,23 @@ def search(
             check_set_up(state, bench, " at the start")
     # Each counted failure needs a finding or a saved scenario. Otherwise, the search would pass despite the failure.
     failures = state.counts.failures
-    if failures.keys() - state.known or sum(each.runs for each in failures.values()) != state.counts.kinds["failed"]:
-        raise RuntimeError(f"a failure has no finding: {state.counts!r:.300}. Please report this bug in pytest-pafot")
+    if (
+        failures.keys() - state.known
+        or sum(each.runs for each in failures.values()) != state.counts.kinds["failed"]
+    ):
+        raise RuntimeError(
+            f"a failure has no finding: {state.counts!r:.300}. Please report this bug in pytest-pafot"
+        )
     if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
         check_set_up(state, bench, "")
-    yield from _record(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
+    yield from _record(
+        scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch
+    )
 
 
-def _record(happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
+def _record(
+    happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch
+) -> Iterator[SearchEvent]:
     for event in happened:
         yield event
         match event:
@@ -266,7 +279,9 @@ def _confirmed(
     if isinstance(sighting, str):
         return sighting
     yield from watch.before_rerun(sighting.id)
-    sighting = store.confirmed(sighting, *bench.confirm(failed.finding.scenario, failed.trace, failed.signature))
+    sighting = store.confirmed(
+        sighting, *bench.confirm(failed.finding.scenario, failed.trace, failed.signature)
+    )
     if not store.is_holding:
         yield from store.publish(sighting)
     return sighting.id

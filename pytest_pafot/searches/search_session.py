@@ -77,7 +77,9 @@ class SearchResult:
     findings: tuple[Seen, ...]
     count: int  # number of distinct new findings, saved or only counted
     first_exception: BaseException | None  # the exception of the first finding; None without one
-    fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
+    fault: (
+        BaseException | None
+    )  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the test function skipped every run
     is_vacuous: bool  # True if most runs tested nothing, or if a broken reference prevented every failure from counting
 
@@ -205,7 +207,11 @@ def prepared(
     # errors are reported.
     why_here = _why_judged_here(harness)
     driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
-    remark = f". This process evaluated all runs, because {why_here}" if why_here else ", which also evaluated them"
+    remark = (
+        f". This process evaluated all runs, because {why_here}"
+        if why_here
+        else ", which also evaluated them"
+    )
     job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
@@ -217,7 +223,9 @@ def prepared(
                 isolate=settings.isolate,
                 cluster=harness.cluster,
             )
-        stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
+        stack.push(
+            runner.__exit__
+        )  # Runs after the search start new processes, which must be stopped as well.
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
@@ -238,13 +246,20 @@ def prepared(
 
 
 def scenarios_of(
-    algorithm: Algorithm[Any] | RandomSearch, bench: Bench, *, generations: int | None, runs: int | None, seed: int
+    algorithm: Algorithm[Any] | RandomSearch,
+    bench: Bench,
+    *,
+    generations: int | None,
+    runs: int | None,
+    seed: int,
 ) -> Bred | Numbers:
     """Return the scenarios of a search, up to a maximum number of generations or runs."""
     if isinstance(algorithm, RandomSearch):
         return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
     seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
-    return Bred(bench, algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter)
+    return Bred(
+        bench, algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter
+    )
 
 
 def _why_judged_here(harness: Harness) -> str:
@@ -264,9 +279,13 @@ class SearchSession:
 
     watch: TimedWatch
     replays: Replays
-    driver_notes: list[str] = field(default_factory=list)  # notes on drivers and slow runs, for the summary
+    driver_notes: list[str] = field(
+        default_factory=list
+    )  # notes on drivers and slow runs, for the summary
     process_notes: list[str] = field(default_factory=list)  # notes on processes, for the summary
-    _worse: MadeWorse | None = field(init=False, default=None)  # only for a search with findings and a reference
+    _worse: MadeWorse | None = field(
+        init=False, default=None
+    )  # only for a search with findings and a reference
 
     @property
     def state(self) -> State:
@@ -428,7 +447,9 @@ class SearchSession:
             death, trace = None, None
             if harness.request.settings.isolate or forks():
                 try:
-                    trace = judged_apart(harness.job(world), scenario, partial(harness.judge_trace, world))
+                    trace = judged_apart(
+                        harness.job(world), scenario, partial(harness.judge_trace, world)
+                    )
                 except ProcessLostError as error:
                     death = error
                 except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
@@ -436,7 +457,9 @@ class SearchSession:
             has_died_twice = sum(not each.is_watched for each in same) > 1
             # An error of the ADS at its first decision may occur only in the separate process.
             raised = None if trace is None else trace.error
-            is_well = trace is not None and (raised is None or (raised.tick > 0 and not raised.interrupted))
+            is_well = trace is not None and (
+                raised is None or (raised.tick > 0 and not raised.interrupted)
+            )
             if has_died_twice or not is_well:
                 sighting = self.store.add_crash(leftover, scenario, death)
                 pending.remove(leftover)
@@ -458,7 +481,9 @@ class SearchSession:
         except (WorldError, TypeError, ValueError):
             return None
 
-    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
+    def _searched(
+        self, saved: Sequence[Saved], began: float
+    ) -> Generator[SearchEvent, None, Ending]:
         __tracebackhide__ = True
         state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
         if space is None:
@@ -470,7 +495,9 @@ class SearchSession:
             raise RequestError(str(error)) from None
         state.is_random = isinstance(algorithm, RandomSearch)
         self.store.replayed = frozenset(each.path for each in saved)
-        state.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
+        state.fatal |= {
+            each.finding.scenario for each in saved if each.finding is not None and each.is_crash
+        }
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
             with runs_end_in(self.bench.refining_end - clock()):
@@ -500,7 +527,9 @@ class SearchSession:
                 f"{Ending.MAX_TIME} stopped a run after {lost:.1f} s, with {plural(runs, 'run')} before it. To find "
                 "out whether a decision hangs, use a longer limit, or a shorter hang_limit of the world"
             )
-        return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
+        return (
+            Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
+        )
 
     def _ending_of(self, reason: EndReason) -> Ending:
         match reason:
@@ -516,7 +545,9 @@ class SearchSession:
     def _summary(self, reason: Ending) -> Search:
         settings, state, counts = self.harness.request.settings, self.state, self.state.counts
         health = counts.health
-        cut = [f"{reason} ended the search, so the same seed may find other failures"] * (reason is Ending.MAX_TIME)
+        cut = [f"{reason} ended the search, so the same seed may find other failures"] * (
+            reason is Ending.MAX_TIME
+        )
         notes = (
             counts.doubt,
             state.known_alone,
@@ -531,7 +562,9 @@ class SearchSession:
         is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
         fails = counts.fails if is_told else Counter[str]()
         others = fails["check"] + fails["otherwise"]
-        random = Counter(runs=fails.total(), at_fault=fails["ego"], otherwise=others, checks=fails["check"])
+        random = Counter(
+            runs=fails.total(), at_fault=fails["ego"], otherwise=others, checks=fails["check"]
+        )
         budgets = {"generations": settings.generations, "runs": settings.runs}
         decisions = {
             "search": counts.decisions,
@@ -550,12 +583,16 @@ class SearchSession:
             kinds=Counter({kind: counts.kinds[kind] for kind in KINDS}),
             outcomes=counts.outcomes,
             responsibilities=counts.responsibilities,
-            more_runs=Counter(shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused),
+            more_runs=Counter(
+                shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused
+            ),
             decisions=Counter(decisions),
             random=random,
             no_interaction=health.no_interaction,
             reached=health.reached_share,
-            finds=tuple(replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()),
+            finds=tuple(
+                replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()
+            ),
             known=dict(state.covered),
             failures=tuple((id_, signature) for signature, id_ in state.failures.items()),
             drawn="" if self.state.space is None else self.state.space.described,
@@ -563,7 +600,13 @@ class SearchSession:
             paired=None if self._worse is None else self._worse.paired,
             no_worse=self.store.dismissed,
             warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
-            notes=(*self.driver_notes, *filter(None, notes), *self._worse_notes(), *cut, *self._left_undone(reason)),
+            notes=(
+                *self.driver_notes,
+                *filter(None, notes),
+                *self._worse_notes(),
+                *cut,
+                *self._left_undone(reason),
+            ),
             seconds=state.seconds,
             process_notes=tuple(self.process_notes),
         )
@@ -580,10 +623,16 @@ class SearchSession:
         if not self.state.runs:  # without a run, it is unclear whether the environment can be built
             return ""
         policy = self.harness.policy
-        given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
+        given = world.options_without_effect(
+            drives_itself=policy.drives_itself, simulates=policy.simulates
+        )
         given.pop(f"write ego_lane={lane!r}", None)  # the test specifies it already
         told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
-        return f"these options of config= have no effect in a search: {'; '.join(told)}" if told else ""
+        return (
+            f"these options of config= have no effect in a search: {'; '.join(told)}"
+            if told
+            else ""
+        )
 
     @property
     def _left_out(self) -> str:
@@ -608,7 +657,11 @@ class SearchSession:
         settings = request.settings
         is_broken_off = reason.is_broken_off
         firm = [each for each in store.findings.values() if each.is_firm]
-        left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
+        left = [
+            each
+            for each in firm
+            if (each.finding.shrunk is None if is_broken_off else each.unshrunk)
+        ]
         if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_runs != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete the new files, and " if any(each.path for each in left) else ""
@@ -621,7 +674,12 @@ class SearchSession:
             more = f"delete the file, and search again with {flag('shrink_runs')}=N"
             yield f"simplifying stopped at its limit. To simplify further, {more}"
         is_short = settings.runs == RUNS
-        if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
+        if (
+            is_short
+            and reason is Ending.RUNS
+            and not self.state.counts.kinds["failed"]
+            and not store.count
+        ):
             yield f"a search with {RUNS} runs is short. Use {request.option('runs', 10 * RUNS)} for a longer one"
 
 
@@ -631,6 +689,10 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     settings = harness.request.settings
     if not forks() or settings.isolate or not settings.is_search:
         return harness
-    if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
-        return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
+    if harness.left_behind() or any(
+        each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)
+    ):
+        return replace(
+            harness, request=replace(harness.request, settings=replace(settings, isolate=True))
+        )
     return harness

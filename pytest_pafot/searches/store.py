@@ -51,9 +51,15 @@ class Store:
     replayed: frozenset[Path] = frozenset()
     findings: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id
     only_counts: bool = False  # True if failures are only counted, and not saved as findings
-    first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
-    held: list[str] = field(default_factory=list)  # ids of findings that are saved but not yet reported
-    dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
+    first_exception: BaseException | None = (
+        None  # the exception of the first finding, for a debugger
+    )
+    held: list[str] = field(
+        default_factory=list
+    )  # ids of findings that are saved but not yet reported
+    dismissed: dict[str, str] = field(
+        default_factory=dict
+    )  # headlines of findings that do not count, by id
     # Failures that arrived before their turn: the file, if any, the result, and the number of the run.
     early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported immediately, because they are no fault of the set-up
@@ -75,11 +81,17 @@ class Store:
         self._forget_early(finding, failed.signature)
         if self.only_counts:
             return finding.id
-        with postponed():  # An interrupt must not separate saving a finding from noting that it is held back.
-            verdict = Verdict(kind="failed", exception=PlainFailure(failed.text), severity=result.severity)
+        with (
+            postponed()
+        ):  # An interrupt must not separate saving a finding from noting that it is held back.
+            verdict = Verdict(
+                kind="failed", exception=PlainFailure(failed.text), severity=result.severity
+            )
             return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
 
-    def confirmed(self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None) -> Seen:
+    def confirmed(
+        self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None
+    ) -> Seen:
         """Update a finding with the results of :meth:`.Bench.confirm`, and return the new version."""
         if differs:
             sighting = self.call_flaky(sighting, differs)
@@ -153,7 +165,9 @@ class Store:
         no_worse = replace(sighting.observed, new="no worse")
         sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
         if sighting.path:
-            with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
+            with suppress(
+                OSError
+            ):  # A file that cannot be removed stays, and is reported with its path.
                 self.file_of(sighting).unlink(missing_ok=True)
                 sighting = replace(sighting, path="")
             with suppress(OSError):  # Folders with other content stay.
@@ -219,16 +233,22 @@ class Store:
         expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
         if again is not None:
             expect, line = expectation(again), _headline(again)
-        finding = self._death(scenario, expect, found_by(self.harness, self.seed, algorithm="crash"), leftover.world)
+        finding = self._death(
+            scenario, expect, found_by(self.harness, self.seed, algorithm="crash"), leftover.world
+        )
         with postponed():
-            return self._held(self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text))))
+            return self._held(
+                self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text)))
+            )
 
     def add_lost(self, lost: LostRun, generation: int) -> Seen:
         """Save a scenario in which a process of this search died or hung."""
         again = "" if lost.is_hang else ", even when it was repeated"
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
         text += cause(lost, f"delete the file, and use {flag('workers', 1)}")
-        finding = self._death(lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None)
+        finding = self._death(
+            lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None
+        )
         self._forget_early(finding, finding.signature)
         with postponed():
             died = Verdict(kind="failed", exception=PlainFailure(text))
@@ -239,7 +259,9 @@ class Store:
         self.held.append(sighting.id)
         return sighting
 
-    def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
+    def _death(
+        self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None
+    ) -> Finding:
         return Finding(
             id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
             test=self.harness.node_id,
@@ -251,7 +273,9 @@ class Store:
         )
 
     @REPLACED.shown(False)  # restores functions that the test function has replaced
-    def _saved(self, finding: Finding, line: str, verdict: Verdict, *, has_drawn: bool = False) -> Seen:
+    def _saved(
+        self, finding: Finding, line: str, verdict: Verdict, *, has_drawn: bool = False
+    ) -> Seen:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
@@ -274,7 +298,13 @@ class Store:
             headline=line,
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
-            observed=Observed(new="new", fails=True, verdict=verdict, severity=verdict.severity, has_drawn=has_drawn),
+            observed=Observed(
+                new="new",
+                fails=True,
+                verdict=verdict,
+                severity=verdict.severity,
+                has_drawn=has_drawn,
+            ),
         )
 
 
@@ -303,7 +333,9 @@ def cause(lost: LostRun, way_out: str) -> str:
     )
 
 
-def lose(death: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, Result]:
+def lose(
+    death: LostRun, state: State, bench: Bench, store: Store
+) -> Generator[SearchEvent, None, Result]:
     """Record a scenario in which a process was lost, and return its result. It is not run again."""
     # It is no failure if the reference does not pass the scenario either.
     state.fatal.add(death.task)

@@ -70,11 +70,23 @@ def metadrive(
     Raises:
         WorldError: at the first use, if an argument cannot be used or MetaDrive 0.4.3 is not installed.
     """
-    own: dict[str, Any] = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
-    own |= {"speed_limit": speed_limit, "start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
+    own: dict[str, Any] = {
+        "map": map,
+        "lanes": lanes,
+        "observation": observation,
+        "sensors": sensors,
+    }
+    own |= {
+        "speed_limit": speed_limit,
+        "start_lane": start_lane,
+        "start_speed": start_speed,
+        "start_at": start_at,
+    }
     if "ego" in world:
         received = f"{world['ego']!r:.100}"
-        raise WorldError(field="ego", expected="MetaDrive's own vehicle", received=received, fix="omit ego=")
+        raise WorldError(
+            field="ego", expected="MetaDrive's own vehicle", received=received, fix="omit ego="
+        )
     given: Any = {"ads_hz": 10, "duration": 15.0, "ego": VEHICLE, **world}
     return SimulatorWorld(partial(MetaDrive, **own), **given)
 
@@ -99,16 +111,29 @@ class MetaDrive(Simulator):
         start_at: float | None = None,
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
-            received = "no MetaDrive" if version_info < (3, 12) else f"Python {version_info[0]}.{version_info[1]}"
-            expected, fix = "MetaDrive 0.4.3 on Python 3.11", f"run `{install('metadrive')}` with Python 3.11"
+            received = (
+                "no MetaDrive"
+                if version_info < (3, 12)
+                else f"Python {version_info[0]}.{version_info[1]}"
+            )
+            expected, fix = (
+                "MetaDrive 0.4.3 on Python 3.11",
+                f"run `{install('metadrive')}` with Python 3.11",
+            )
             raise WorldError(field="pafot.metadrive", expected=expected, received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
             expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'
             raise WorldError(field="map", expected=expected, received=f"{map!r:.100}")
         if observation not in (None, "lidar", "vehicle"):
             expected = 'None (for a planner), "lidar" or "vehicle"'
-            raise WorldError(field="observation", expected=expected, received=f"{observation!r:.100}")
-        self._observation, self._map, self._count = observation, map, whole_within("lanes", lanes, 1, MOST_LANES)
+            raise WorldError(
+                field="observation", expected=expected, received=f"{observation!r:.100}"
+            )
+        self._observation, self._map, self._count = (
+            observation,
+            map,
+            whole_within("lanes", lanes, 1, MOST_LANES),
+        )
         self._data = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
         self._data |= {"speed_limit": speed_limit, "start_lane": start_lane}
         self._data |= {"start_speed": start_speed, "start_at": start_at}
@@ -139,7 +164,9 @@ class MetaDrive(Simulator):
         env, start = self._opened(), vehicles[0]
         self._length = start.length
         self._ego = env.begin((start.x, start.y), start.heading, start.speed)
-        self._npcs = [env.add_other(each.length, each.width, each[:2], each.heading) for each in vehicles[1:]]
+        self._npcs = [
+            env.add_other(each.length, each.width, each[:2], each.heading) for each in vehicles[1:]
+        ]
         self._put(vehicles[1:])
         self._ego.after_step()
 
@@ -150,7 +177,9 @@ class MetaDrive(Simulator):
             npc.set_heading_theta(heading)
             npc.set_velocity((math.cos(heading), math.sin(heading)), speed)
             if self._observation == "vehicle":
-                npc.navigation.update_localization(npc)  # finds its lane, which MetaDrive's IDM reads
+                npc.navigation.update_localization(
+                    npc
+                )  # finds its lane, which MetaDrive's IDM reads
 
     def step(self, controls: Sequence[Any]) -> None:
         # Put the NPCs at their positions at the end of the tick.
@@ -166,10 +195,16 @@ class MetaDrive(Simulator):
         vehicle = self._ego
         wheels = math.atan(math.tan(control.steering) * WHEELBASE / self._length)
         # The forces of the engine and the impulses of brakes act on each of four wheels.
-        most = vehicle.config["max_engine_force"] if control.acceleration > 0.0 else vehicle.config["max_brake_force"]
+        most = (
+            vehicle.config["max_engine_force"]
+            if control.acceleration > 0.0
+            else vehicle.config["max_brake_force"]
+        )
         pedal = control.acceleration * vehicle.MASS / 4.0 / most
         pedal *= 1.0 if control.acceleration > 0.0 else SUBSTEP
-        return wheels / math.radians(vehicle.max_steering), pedal or 1e-6  # a pedal of 0 brakes by 0.36 m/s^2
+        return wheels / math.radians(
+            vehicle.max_steering
+        ), pedal or 1e-6  # a pedal of 0 brakes by 0.36 m/s^2
 
     def observe(self) -> Any:
         if self._observation == "vehicle":
@@ -182,12 +217,17 @@ class MetaDrive(Simulator):
         except (TypeError, ValueError):
             checked = np.empty(0)
         if checked.shape != (2,) or not np.isfinite(checked).all():
-            raise ValueError(f"expected steering and pedal, two numbers from -1 to 1, received {action!r:.100}")
+            raise ValueError(
+                f"expected steering and pedal, two numbers from -1 to 1, received {action!r:.100}"
+            )
         return tuple(checked.tolist())
 
     def states(self) -> list[tuple[float, ...]]:
         ego = self._ego
-        return [(*map(float, ego.position), float(ego.heading_theta), float(ego.speed)), *self._put_at]
+        return [
+            (*map(float, ego.position), float(ego.heading_theta), float(ego.speed)),
+            *self._put_at,
+        ]
 
     def close(self) -> None:
         if self._env is not None and self._env.is_open:
@@ -197,12 +237,25 @@ class MetaDrive(Simulator):
 
 def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     checked: dict[str, dict[str, int]] = {"lidar": {"num_others": 4}}
-    for name, given in sensors.items() if isinstance(sensors, Mapping) else [("sensors", sensors)] if sensors else ():
-        most = {"num_lasers": 1000, "distance": 1000} | ({"num_others": 8} if name == "lidar" else {})
+    for name, given in (
+        sensors.items()
+        if isinstance(sensors, Mapping)
+        else [("sensors", sensors)]
+        if sensors
+        else ()
+    ):
+        most = {"num_lasers": 1000, "distance": 1000} | (
+            {"num_others": 8} if name == "lidar" else {}
+        )
         if name not in DETECTORS or not isinstance(given, Mapping) or set(given) - set(most):
-            expected = f"only num_lasers and distance for {', '.join(DETECTORS)}, and num_others for lidar"
+            expected = (
+                f"only num_lasers and distance for {', '.join(DETECTORS)}, and num_others for lidar"
+            )
             raise WorldError(field="sensors", expected=expected, received=f"{sensors!r:.100}")
-        values = {key: whole_within(f"sensors.{name}.{key}", value, 0, most[key]) for key, value in given.items()}
+        values = {
+            key: whole_within(f"sensors.{name}.{key}", value, 0, most[key])
+            for key, value in given.items()
+        }
         checked[name] = {**checked.get(name, {}), **values}
     return checked
 
@@ -230,7 +283,8 @@ def _weights() -> tuple[tuple[Any, Any], ...]:
     with np.load(file) as arrays:
         layers = ("fc_1", "fc_2", "fc_out")
         return tuple(
-            (arrays[f"default_policy/{each}/kernel"], arrays[f"default_policy/{each}/bias"]) for each in layers
+            (arrays[f"default_policy/{each}/kernel"], arrays[f"default_policy/{each}/bias"])
+            for each in layers
         )
 
 

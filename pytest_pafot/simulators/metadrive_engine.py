@@ -31,7 +31,9 @@ class OrderedLidar(Lidar):  # type: ignore[misc]
     """A lidar that returns objects in a fixed order. MetaDrive's order depends on memory addresses."""
 
     def get_surrounding_objects(self, vehicle: Any, radius: int = 50) -> list[Any]:
-        return sorted(super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position))
+        return sorted(
+            super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position)
+        )
 
     @staticmethod
     def get_surrounding_vehicles(detected_objects: Sequence[Any]) -> list[Any]:
@@ -62,7 +64,10 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
             received = "one that is still open"
             fix = f"call `close` of your own MetaDriveEnv, or search in other processes with {flag('workers', 2)}"
             raise WorldError(
-                field="pafot.metadrive", expected="no other environment in this process", received=received, fix=fix
+                field="pafot.metadrive",
+                expected="no other environment in this process",
+                received=received,
+                fix=fix,
             )
         super().__init__(
             {
@@ -76,7 +81,10 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
                 "random_spawn_lane_index": False,
                 "num_scenarios": 1,
                 "start_seed": 0,
-                "vehicle_config": {"vehicle_model": "static_default", **sensors},  # the default model has random forces
+                "vehicle_config": {
+                    "vehicle_model": "static_default",
+                    **sensors,
+                },  # the default model has random forces
             }
         )
         self._own = Engine(self.config)
@@ -90,7 +98,10 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
     def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
         """Start a run with the ego at a position [m] with a heading [rad] and a speed [m/s]."""
         # Not with set_position, because only a new vehicle gets the checkpoints ahead of its position.
-        self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (tuple(position), heading)
+        self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (
+            tuple(position),
+            heading,
+        )
         self.reset(seed=0)  # 0 is the map; nothing in a run is random
         # Vehicles pass through each other, because Bullet would push them. The package detects contacts.
         self.engine.physics_world.dynamic_world.setGroupCollisionFlag(VEHICLES, VEHICLES, False)
@@ -115,12 +126,16 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
                     lines[-1].append(_point(lane.position(lane.length * step / steps, 0.0)))
         return lines
 
-    def add_other(self, length: float, width: float, position: Sequence[float], heading: float) -> Any:
+    def add_other(
+        self, length: float, width: float, position: Sequence[float], heading: float
+    ) -> Any:
         """Add a vehicle that does not move on its own, and return it. The next run removes it."""
         size = {"length": length, "width": width, "height": 1.5, "mass": 1100.0}
         # The traffic manager removes its vehicles at the next reset.
         spawn = self.engine.traffic_manager.spawn_object
-        other = spawn(VaryingDynamicsVehicle, vehicle_config=size, position=list(position), heading=heading)
+        other = spawn(
+            VaryingDynamicsVehicle, vehicle_config=size, position=list(position), heading=heading
+        )
         other.set_static(True)  # else it falls and drives on
         return other
 

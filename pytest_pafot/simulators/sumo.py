@@ -101,18 +101,33 @@ class Sumo(Simulator):
             self._data |= {"lanes": lanes, "speed_limit": speed_limit}
             return
         way = Way(net, route)
-        self.edges, self.lanes, self.lane_width, self.speed_limit = way.edges, way.lines, way.width, way.limit
+        self.edges, self.lanes, self.lane_width, self.speed_limit = (
+            way.edges,
+            way.lines,
+            way.width,
+            way.limit,
+        )
         if start_lane not in way.starts:
             starts = listed([*map(str, way.starts)], "or")
-            expected = f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed"
+            expected = (
+                f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed"
+            )
             fix = "to use another lane, start the route at a later edge"
-            raise WorldError(field="start_lane", expected=expected, received=repr(start_lane), fix=fix)
-        self.start_lane, self.start_speed, self.start_at = start_lane + way.left, start_speed, start_at
+            raise WorldError(
+                field="start_lane", expected=expected, received=repr(start_lane), fix=fix
+            )
+        self.start_lane, self.start_speed, self.start_at = (
+            start_lane + way.left,
+            start_speed,
+            start_at,
+        )
         self._data |= {"start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
         now = hashlib.sha256(Path(net).read_bytes()).hexdigest()[:16]
         if digest not in ("", now):
             fix = "use the network from the commit of the saved scenario, or search again"
-            raise WorldError(field="net", expected=f"{net} as it was saved", received="a changed file", fix=fix)
+            raise WorldError(
+                field="net", expected=f"{net} as it was saved", received="a changed file", fix=fix
+            )
         self._data |= {"net": net, "digest": now, "route": way.edges}
 
     def to_dict(self) -> dict[str, Any]:
@@ -141,11 +156,19 @@ class Way:
             from sumolib.net import readNet  # noqa: PLC0415  (part of libsumo, which is optional)
         except ImportError as error:
             expected, fix = "an installed sumolib", f"run `{install('sumo')}`"
-            raise WorldError(field="pafot.sumo", expected=expected, received=f"the error '{error}'", fix=fix) from None
+            raise WorldError(
+                field="pafot.sumo", expected=expected, received=f"the error '{error}'", fix=fix
+            ) from None
 
         expected = "a SUMO network, as written by netconvert"
-        if not Path(path).is_file():  # a saved file may name anything, such as a pipe that never ends
-            raise WorldError(field=f"net, {path}", expected=expected, received="a path that is not a regular file")
+        if not Path(
+            path
+        ).is_file():  # a saved file may name anything, such as a pipe that never ends
+            raise WorldError(
+                field=f"net, {path}",
+                expected=expected,
+                received="a path that is not a regular file",
+            )
         try:
             self._net = readNet(path, withInternal=True)
         except Exception as error:  # noqa: BLE001  (of the XML reader, of its handler, or of the file)
@@ -159,7 +182,9 @@ class Way:
         # The number of lanes to the left of the first edge's lanes, and the lanes of this edge, from 0 at its left.
         self.left = sum(number < 0 for number in columns)
         first_lanes = [
-            sorted(columns).index(number) for number, lanes in columns.items() if lanes[0].getEdge() is self._edges[0]
+            sorted(columns).index(number)
+            for number, lanes in columns.items()
+            if lanes[0].getEdge() is self._edges[0]
         ]
         self.starts = [each - self.left for each in first_lanes]
         # The road is measured along its longest lane, so that lane must start at the start of the route.
@@ -168,10 +193,14 @@ class Way:
             first, after = self.edges[0], longest[0].getEdge().getID()
             received = f"{first!r}, whose lanes end before the lanes that start in {after!r}"
             expected = "a route on which the longest lane starts in the first edge"
-            raise self._refused(expected, received, f"start the route with another edge, such as {after!r}")
+            raise self._refused(
+                expected, received, f"start the route with another edge, such as {after!r}"
+            )
         first = self._cars(self._edges[0])
         self.width = float(first[0].getWidth())
-        self.limit = min(float(lane.getSpeed()) for edge in self._edges for lane in self._cars(edge))
+        self.limit = min(
+            float(lane.getSpeed()) for edge in self._edges for lane in self._cars(edge)
+        )
 
     def _refused(self, expected: str, received: str, fix: str) -> WorldError:
         return WorldError(field="route", expected=expected, received=received, fix=fix)
@@ -184,7 +213,9 @@ class Way:
         if len(first) != 1 or len(last) != 1:
             some = ", ".join(repr(each.getID()) for each in edges[:6])
             expected = "the edges of the ego's route, because this network has more than one route"
-            raise self._refused(expected, "None", f"write route=[first, last] with edges such as {some}")
+            raise self._refused(
+                expected, "None", f"write route=[first, last] with edges such as {some}"
+            )
         return [*first, *last] if first != last else first
 
     def _connected(self, route: Sequence[str]) -> list[Any]:
@@ -192,14 +223,22 @@ class Way:
         edges: list[Any] = []
         for name in route:
             if not self._net.hasEdge(name) or not self._cars(self._net.getEdge(name)):
-                near = [each.getID() for each in self._net.getEdges(withInternal=False) if self._cars(each)][:6]
-                raise self._refused("edges for passenger cars", repr(name), f"use edges such as {', '.join(near)}")
+                near = [
+                    each.getID()
+                    for each in self._net.getEdges(withInternal=False)
+                    if self._cars(each)
+                ][:6]
+                raise self._refused(
+                    "edges for passenger cars", repr(name), f"use edges such as {', '.join(near)}"
+                )
             edge = self._net.getEdge(name)
             if edges:
                 found, _ = self._net.getShortestPath(edges[-1], edge, vClass="passenger")
                 if not found:
                     received = f"{edges[-1].getID()!r} and {name!r}, which are not connected"
-                    raise self._refused("edges that are connected in this order", received, "omit one of them")
+                    raise self._refused(
+                        "edges that are connected in this order", received, "omit one of them"
+                    )
                 edges += found[1:]
             else:
                 edges = [edge]
@@ -214,7 +253,10 @@ class Way:
         # The pieces of each lane, in order, by the number of the lane from the left. A lane continues in a lane of the
         # next edge if they are connected, and if most lanes move as many positions to the left or right. If two pieces
         # have the same number, the shorter one is omitted.
-        shift, parts = 0, {number: [[lane]] for number, lane in enumerate(self._cars(self._edges[0]))}
+        shift, parts = (
+            0,
+            {number: [[lane]] for number, lane in enumerate(self._cars(self._edges[0]))},
+        )
         for before, after in zip(self._edges, self._edges[1:], strict=False):
             old, new = self._cars(before), self._cars(after)
             joined = [
@@ -255,6 +297,8 @@ def _line(lanes: Sequence[Any]) -> list[tuple[float, float]]:
     points: list[tuple[float, float]] = []
     for lane in lanes:
         for x, y, *_ in lane.getShape():
-            if not points or math.dist(points[-1], (x, y)) > 0.05:  # networks are exact to a centimetre
+            if (
+                not points or math.dist(points[-1], (x, y)) > 0.05
+            ):  # networks are exact to a centimetre
                 points.append((x, y))
     return points

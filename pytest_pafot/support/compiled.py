@@ -25,7 +25,11 @@ FORCED, ABSENT = "PAFOT_KERNEL", "not compiled at installation"
 def typed(*folders: str) -> list[Path]:
     """Return the paths, without suffixes, of those modules in the folders that have a ``.pxd`` file."""
     # Editors create files such as `.#loop.pxd` there.
-    return [path.with_suffix("") for each in folders for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))]
+    return [
+        path.with_suffix("")
+        for each in folders
+        for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))
+    ]
 
 
 def record() -> str:
@@ -33,7 +37,10 @@ def record() -> str:
     # A build writes this as its last step, after it has removed the record of an earlier build. So the file means that
     # the build is complete. Line endings make no difference.
     sources = [path.with_suffix(suffix) for path in typed(*FOLDERS) for suffix in (".pxd", ".py")]
-    texts = {path.relative_to(PACKAGE).as_posix(): path.read_bytes().replace(b"\r\n", b"\n") for path in sources}
+    texts = {
+        path.relative_to(PACKAGE).as_posix(): path.read_bytes().replace(b"\r\n", b"\n")
+        for path in sources
+    }
     return "".join(f"{sha256(text).hexdigest()} {name}\n" for name, text in texts.items())
 
 
@@ -42,12 +49,16 @@ def why_interpreted() -> str:
     if os.environ.get("PAFOT_KERNEL") == "interpreted":
         return FORCED
     modules = [PACKAGE / SHARED, *typed(*FOLDERS)]
-    if not any(path.with_suffix(suffix).exists() for suffix in EXTENSION_SUFFIXES for path in modules):
+    if not any(
+        path.with_suffix(suffix).exists() for suffix in EXTENSION_SUFFIXES for path in modules
+    ):
         return ABSENT
     # Sources that have changed since the build must not run together with compiled modules.
     made = PACKAGE / f"{SHARED}{EXTENSION_SUFFIXES[0]}.txt"
     lines = made.read_text("utf-8").splitlines() if made.exists() else []
-    other = {line.rpartition(" ")[2] for line in {*record().splitlines()}.symmetric_difference(lines)}
+    other = {
+        line.rpartition(" ")[2] for line in {*record().splitlines()}.symmetric_difference(lines)
+    }
     other |= {path.name for path in modules if not path.with_suffix(EXTENSION_SUFFIXES[0]).exists()}
     if not other:
         return ""
@@ -61,7 +72,9 @@ def load(package: str) -> None:
     if reason not in ("", ABSENT):
         sys.path_importer_cache[folder] = FileFinder(folder, (SourceFileLoader, SOURCE_SUFFIXES))
     if reason not in ("", FORCED, ABSENT):
-        _warn(f"pytest-pafot runs interpreted, which is about twenty times slower, because {reason}")
+        _warn(
+            f"pytest-pafot runs interpreted, which is about twenty times slower, because {reason}"
+        )
     for path in typed(folder):
         import_module(f"{package}.{path.stem}")
 

@@ -27,7 +27,13 @@ class FieldError(ValueError):
     """An error about an invalid value, with the parts of its message as attributes."""
 
     def __init__(
-        self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
+        self,
+        text: str = "",
+        *,
+        field: str = "",
+        expected: str = "",
+        received: str = "",
+        fix: str = "",
     ) -> None:
         from pytest_pafot.support.text import visible  # noqa: PLC0415  (most sessions of pytest meet no such error)
 
@@ -126,7 +132,14 @@ class CorpusError(FieldError):
     """A corpus file that cannot be used."""
 
     def __init__(
-        self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None
+        self,
+        path: Path,
+        expected: str,
+        received: str,
+        fix: str = RESTORE,
+        *,
+        field: str = "",
+        line: int | None = None,
     ) -> None:
         place = f"{path}" if line is None else f"{path}:{line}"
         text = f"{place}: {sentence(field, expected, received, fix)}"
@@ -175,8 +188,14 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
 def asserts_run(function: Callable[..., Any]) -> bool:
     """Return whether Python executes the assertions in a function."""
     # `python -O` disables all assertions that pytest does not rewrite. This package does not need assertions.
-    known = getattr(function, "__globals__", None) or getattr(type(function).__call__, "__globals__", {})
-    return __debug__ or "@pytest_ar" in known or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
+    known = getattr(function, "__globals__", None) or getattr(
+        type(function).__call__, "__globals__", {}
+    )
+    return (
+        __debug__
+        or "@pytest_ar" in known
+        or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
+    )
 
 
 def check_asserts(holds: Callable[..., Any]) -> None:

@@ -34,7 +34,9 @@ def hold(descriptor: int) -> bool:
     try:
         _lock(descriptor)
     except OSError as error:
-        return error.errno not in _HELD  # this file system has no locks, so the process id in the name decides
+        return (
+            error.errno not in _HELD
+        )  # this file system has no locks, so the process id in the name decides
     return os.fstat(descriptor).st_nlink > 0
 
 
@@ -61,7 +63,9 @@ def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # other errors mean that another user owns the process
+        return not isinstance(
+            error, ProcessLookupError
+        )  # other errors mean that another user owns the process
     return True
 
 
@@ -168,7 +172,9 @@ def written_into(folder: Path) -> Iterator[None]:
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
     """Open a regular file in a binary mode, or raise an ``OSError`` for a link, pipe or device."""
     with contextlib.suppress(FileNotFoundError):  # some modes create the file
-        _check_regular(path, path.lstat())  # before opening, because opening some devices has side effects
+        _check_regular(
+            path, path.lstat()
+        )  # before opening, because opening some devices has side effects
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
     try:
         _check_regular(path, os.fstat(file.fileno()))  # it may have been replaced in between
@@ -181,18 +187,28 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 def remove_unfinished(folder: Path) -> None:
     """Remove the temporary files of killed processes from a folder."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(OSError):  # a leftover does no harm, because no code reads files with such a name
+        with contextlib.suppress(
+            OSError
+        ):  # a leftover does no harm, because no code reads files with such a name
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
                 with contextlib.suppress(PermissionError):  # Windows does not remove open files
-                    path.unlink(missing_ok=True)  # during the lock, so that no process starts to write to the file
+                    path.unlink(
+                        missing_ok=True
+                    )  # during the lock, so that no process starts to write to the file
             path.unlink(missing_ok=True)
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
-        what = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "a folder" if stat.S_ISDIR(status.st_mode) else ""
+        what = (
+            "a symbolic link"
+            if stat.S_ISLNK(status.st_mode)
+            else "a folder"
+            if stat.S_ISDIR(status.st_mode)
+            else ""
+        )
         raise OSError(errno.EINVAL, f"Is {what or 'a special file'}", str(path))
 
 
@@ -211,9 +227,13 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
         with file:
             file.write(content)
             file.flush()
-            os.fsync(file.fileno())  # so that the content is on the disk before the file gets its name
+            os.fsync(
+                file.fileno()
+            )  # so that the content is on the disk before the file gets its name
             if os.name != "nt":
-                return finish(temporary, path)  # still locked, so that no process removes the file as a leftover
+                return finish(
+                    temporary, path
+                )  # still locked, so that no process removes the file as a leftover
         return finish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -247,7 +267,14 @@ def _publish(temporary: Path, path: Path) -> bool:
 
 
 # Variables that a git hook or alias sets. With them, git would use the caller's index.
-OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
+OF_A_CALLER = (
+    "GIT_DIR",
+    "GIT_WORK_TREE",
+    "GIT_INDEX_FILE",
+    "GIT_COMMON_DIR",
+    "GIT_PREFIX",
+    "GIT_NAMESPACE",
+)
 
 # With this variable, git fetches nothing, such as missing objects of a partial clone.
 OFFLINE = {"GIT_ALLOW_PROTOCOL": ""}
@@ -277,13 +304,21 @@ def git(folder: Path, *arguments: str) -> str:
             check=False,
         )
     except FileNotFoundError:
-        raise RequestError("expected the program git, which was not found on the PATH. Install git") from None
+        raise RequestError(
+            "expected the program git, which was not found on the PATH. Install git"
+        ) from None
     except ValueError as error:  # a string that no command line can contain
-        given = next((each for each in (str(folder), *arguments) if not each.isprintable()), str(folder))
-        raise RequestError(f"git: expected a valid name, received {given!a:.200} ({error}). Use another name") from None
+        given = next(
+            (each for each in (str(folder), *arguments) if not each.isprintable()), str(folder)
+        )
+        raise RequestError(
+            f"git: expected a valid name, received {given!a:.200} ({error}). Use another name"
+        ) from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
-        raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
+        raise RequestError(
+            f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}"
+        )
     return os.fsdecode(done.stdout)
 
 
@@ -291,14 +326,25 @@ def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
     """Return the commit that added each file in some folders, without files whose commit is unknown."""
     # The files in the oldest commit of a shallow clone are omitted, because an earlier commit may have added them.
     found: dict[Path, Since] = {}
-    form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")
+    form = (
+        "-z",
+        "--no-show-signature",
+        "--format=%x01%h %cs %p",
+        "--no-color",
+        "--no-renames",
+        "--no-relative",
+    )
     for folder in folders:
         with suppress(RequestError, OSError):
-            root = Path(os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
+            root = Path(
+                os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n"))
+            )
             is_shallow = git(root, "rev-parse", "--is-shallow-repository").strip() == "true"
             log = ("-c", "log.showRoot=true", "log", *form, "--name-only", "--diff-filter=A")
             commit, day, parents = "", "", ""
-            for part in git(root, *log, "--", str(folder.resolve())).split("\0"):  # The newest commit is first.
+            for part in git(root, *log, "--", str(folder.resolve())).split(
+                "\0"
+            ):  # The newest commit is first.
                 if part.startswith("\1"):
                     commit, day, parents = part.removeprefix("\1").split(" ", 2)
                 elif (name := part.removeprefix("\n")) and (parents.strip() or not is_shallow):

@@ -38,7 +38,9 @@ class Ended(KeyboardInterrupt):
 
 
 @contextmanager
-def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda interrupt: None) -> Iterator[None]:
+def interrupted_by_signals(
+    note: Callable[[KeyboardInterrupt], None] = lambda interrupt: None,
+) -> Iterator[None]:
     """Raise :class:`Ended` in the main thread on the first signal in :data:`ENDS`, and ignore later signals.
 
     ``note`` receives each interrupt first, including Ctrl-C, because the user's code may catch it.
@@ -65,7 +67,10 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
         if not isinstance(lost.exc_value, KeyboardInterrupt) or getpid() != owner:
             told(lost)
             return
-        ended, number = False, lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
+        ended, number = (
+            False,
+            lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT,
+        )
         threading.Timer(AGAIN_SECONDS, os.kill, (owner, number)).start()
 
     is_main = threading.current_thread() is threading.main_thread()
@@ -102,7 +107,11 @@ def postponed() -> Iterator[None]:
             handler(number, frame)
         came.append((number, monotonic()))
 
-    mine = [number for number, handler in before.items() if callable(handler) or handler == signal.SIG_DFL]
+    mine = [
+        number
+        for number, handler in before.items()
+        if callable(handler) or handler == signal.SIG_DFL
+    ]
     for number in mine:  # ignored signals, as by `nohup`, stay ignored
         signal.signal(number, received)
     try:
@@ -215,8 +224,12 @@ def unfinished(code: int) -> str:
         received = f"the signal {names.get(-code, -code)}"
         likely = "Did compiled code of the policy crash? `python -X faulthandler -m pytest_pafot ...` shows where"
     if code == -getattr(signal, "SIGKILL", 0):
-        likely = "Did the memory run out, or did someone kill it? Free memory, and run the command again"
-    return f"expected the process with the policy to finish the command, received {received}. {likely}"
+        likely = (
+            "Did the memory run out, or did someone kill it? Free memory, and run the command again"
+        )
+    return (
+        f"expected the process with the policy to finish the command, received {received}. {likely}"
+    )
 
 
 _NAMES = "builtins io json multiprocessing os os.path pathlib secrets shutil signal subprocess tempfile time"
@@ -224,7 +237,8 @@ _OWN = [
     (owner, name, value)
     for owner in (*map(import_module, _NAMES.split()), pathlib.PurePath, pathlib.Path)
     for name, value in vars(owner).items()
-    if name in ("__import__", "environ") or (name[:2] != "__" and (callable(value) or isinstance(value, classmethod)))
+    if name in ("__import__", "environ")
+    or (name[:2] != "__" and (callable(value) or isinstance(value, classmethod)))
 ]
 
 
@@ -232,7 +246,9 @@ class _Replaced:
     """The functions of this process that tests have replaced."""
 
     def __init__(self) -> None:
-        self._back: list[Callable[[], object]] = []  # functions that restore the replacements, the last first
+        self._back: list[
+            Callable[[], object]
+        ] = []  # functions that restore the replacements, the last first
 
     @contextmanager
     def shown(self, is_shown: bool) -> Iterator[None]:
@@ -279,7 +295,10 @@ RULES_VERSION = "3"
 
 def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
     """Return the versions of the verdict rules and of the packages on which a run depends."""
-    return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
+    return {
+        **{package: _version_of(package) for package in (*PACKAGES, *others)},
+        RULES: RULES_VERSION,
+    }
 
 
 @cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.
@@ -292,9 +311,13 @@ def _version_of(package: str) -> str:
 
 def cores(root: Path = Path("/")) -> int:
     """Return the number of cores that this process may use. ``root`` is the folder with ``proc`` and ``sys``."""
-    counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
+    counts = [
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    ]
     for quota, *period in cpu_limits(root):  # CPU time [us] of all cores together in each period
-        counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; 100 ms is the kernel's default
+        counts.append(
+            -(-quota // (period or [100_000])[0])
+        )  # rounded up; 100 ms is the kernel's default
     return min(counts)
 
 
@@ -304,11 +327,16 @@ def cpu_limits(root: Path) -> Iterator[list[int]]:
     groups = [PurePosixPath()]
     with suppress(OSError):
         lines = os.fsdecode((root / "proc/self/cgroup").read_bytes()).splitlines()
-        own = [PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")]
+        own = [
+            PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")
+        ]
         groups = [group for path in own for group in (path, *path.parents)] or groups
     for group in dict.fromkeys(groups):
         # The outermost cgroup has no file, "max" means no limit, and a container may emulate the files badly.
         with suppress(OSError, ValueError):
-            numbers = [int(word) for word in (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()]
+            numbers = [
+                int(word)
+                for word in (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()
+            ]
             if numbers and min(numbers) > 0:
                 yield numbers

@@ -63,7 +63,9 @@ def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bo
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:
     """Return an interval, with at least 95 % confidence, for the first proportion minus the second."""
     # Each of the two intervals has a confidence of 97.5 %.
-    one, other = (interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only))
+    one, other = (
+        interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only)
+    )
     return one[0] - other[1], one[1] - other[0]
 
 
@@ -83,7 +85,9 @@ def _at_most(hits: int, trials: int, share: float) -> float:
     hit, miss = math.log(share), math.log1p(-share)
     most = math.lgamma(trials + 1)
     return math.fsum(
-        math.exp(most - math.lgamma(k + 1) - math.lgamma(trials - k + 1) + k * hit + (trials - k) * miss)
+        math.exp(
+            most - math.lgamma(k + 1) - math.lgamma(trials - k + 1) + k * hit + (trials - k) * miss
+        )
         for k in range(hits + 1)
     )
 
@@ -101,7 +105,9 @@ def none_text(trials: int, what: str = "scenarios") -> str:
 
 
 def _most_without_hits(trials: int) -> str:
-    most = 100 * interval(0, trials)[1] - 1e-9  # otherwise, its last bit would decide whether it is rounded up
+    most = (
+        100 * interval(0, trials)[1] - 1e-9
+    )  # otherwise, its last bit would decide whether it is rounded up
     digits = 0 if most >= 10 else 1 if most >= 1 else 2
     return f"at most {math.ceil(most * 10**digits) / 10**digits:g} %"
 

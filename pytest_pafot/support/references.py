@@ -33,11 +33,15 @@ def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]
     module, _, rest = reference.partition(":")
     name, colon, argument = rest.partition(":")  # the argument may contain colons
     if not (module and name) or (colon and not argument):
-        raise ValueError(f"expected module:factory or module:factory:argument, received {reference!r}")
+        raise ValueError(
+            f"expected module:factory or module:factory:argument, received {reference!r}"
+        )
     factory = referred_to(f"{module}:{name}", what)
     if not callable(factory):
         received = f"{reference!r}, which has the type {type(factory).__name__}"
-        raise ValueError(f"expected {what}, received {received}. Name a function or a class instead")
+        raise ValueError(
+            f"expected {what}, received {received}. Name a function or a class instead"
+        )
     return functools.partial(factory, argument) if argument else factory
 
 
@@ -47,15 +51,25 @@ def referred_to(reference: str, what: str = "a name") -> Any:
     module = imported(reference)
     if not hasattr(module, name):
         near = difflib.get_close_matches(name, vars(module), n=1)
-        own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
+        own = [
+            each
+            for each, value in vars(module).items()
+            if getattr(value, "__module__", "") == module_name
+        ]
         hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
         names = [*own[:MOST_NAMES], *(["others"] if len(own) > MOST_NAMES else [])]
         hint = hint or f". The module defines {listed(names) or 'no functions or classes'}"
         file = getattr(module, "__file__", None)
         origin = f"was loaded from {file}" if file else "is built into Python"
         # The user may have expected another module with the same name.
-        hint += "" if Path(file or "").is_relative_to(Path.cwd()) else f"{' The module' if near else '. It'} {origin}"
-        raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
+        hint += (
+            ""
+            if Path(file or "").is_relative_to(Path.cwd())
+            else f"{' The module' if near else '. It'} {origin}"
+        )
+        raise ValueError(
+            f"expected {what} in the module {module_name}, received {reference!r}{hint}"
+        )
     return getattr(module, name)
 
 
@@ -66,14 +80,25 @@ def imported(reference: str) -> ModuleType:
         if not module_name or module_name.startswith("."):  # a relative name has no package here
             raise ModuleNotFoundError(f"No module named {module_name!r}", name=module_name)
         return importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() when it is imported.
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # A script without a guard calls sys.exit() when it is imported.
         # A module that imports a missing module raises ModuleNotFoundError, too.
-        is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
+        is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(
+            f"{error.name}."
+        )
         way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
-        if path != module_name and not path.startswith("."):  # otherwise, it is not a path, or not below this folder
+        if path != module_name and not path.startswith(
+            "."
+        ):  # otherwise, it is not a path, or not below this folder
             way_out = f"Write {path}:{name}"
-        received = f" ({type(error).__name__}: {error})" if is_missing else f", whose import raises {described(error)}"
+        received = (
+            f" ({type(error).__name__}: {error})"
+            if is_missing
+            else f", whose import raises {described(error)}"
+        )
         way_out = way_out if is_missing else "Correct the module"
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}. {way_out}"
@@ -97,7 +122,11 @@ def policy_name(factory: Any) -> str:
         made = made.func
     if isinstance(made, FunctionType) and made.__name__ == "<lambda>":
         uses = inspect.getclosurevars(made)
-        used = [each for each in (*uses.nonlocals.values(), *uses.globals.values()) if hasattr(each, "__qualname__")]
+        used = [
+            each
+            for each in (*uses.nonlocals.values(), *uses.globals.values())
+            if hasattr(each, "__qualname__")
+        ]
         made = used[0] if len(used) == 1 else made
     made = made if hasattr(made, "__qualname__") else type(made)
     return f"{made.__module__}:{made.__qualname__}"
@@ -108,9 +137,15 @@ def described(error: BaseException) -> str:
     # Skip lines of this package, which only called the user's code or rejected a value, and code without a file, such
     # as the `__init__` of a dataclass.
     here = f"{Path(__file__).parents[1]}{os.sep}", "<"
-    frames = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith(here)]
+    frames = [
+        each
+        for each in traceback.extract_tb(error.__traceback__)
+        if not each.filename.startswith(here)
+    ]
     text = one_line("".join(traceback.format_exception_only(error)))
-    has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
+    has_place = (
+        isinstance(error, SyntaxError) or not frames
+    )  # the message of a SyntaxError names the place
     return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
 
 
@@ -134,7 +169,9 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
             continue
         try:
             content = file.read_bytes()
-        except OSError as error:  # such as a module in an archive, or a file that was removed after its import
+        except (
+            OSError
+        ) as error:  # such as a module in an archive, or a file that was removed after its import
             found[file] = source.name, f"unreadable: {error.strerror}"
             continue
         found[file] = source.name, f"sha256:{hashlib.sha256(content).hexdigest()[:16]}"
@@ -153,11 +190,19 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
         for cls in value.__mro__:
             yield from _of_module(cls.__module__)
     elif isinstance(value, FunctionType):
-        file = value.__code__.co_filename  # not the module's: two modules may have the same name, such as conftest
+        file = (
+            value.__code__.co_filename
+        )  # not the module's: two modules may have the same name, such as conftest
         if not file.startswith("<"):  # such as a function from an interactive session or from exec
             yield _Source(value.__module__ or "", Path(file))
     for each in _held(value):
-        parts = each.values() if isinstance(each, dict) else each if isinstance(each, (list, tuple)) else (each,)
+        parts = (
+            each.values()
+            if isinstance(each, dict)
+            else each
+            if isinstance(each, (list, tuple))
+            else (each,)
+        )
         for part in parts:
             if callable(part):
                 yield from _defining(part, seen)
@@ -201,18 +246,28 @@ def _file_of(name: str) -> Path | None:
     package, _, _ = name.rpartition(".")
     try:
         if not package:
-            spec = importlib.util.find_spec(name)  # by all finders, including those of editable installs
+            spec = importlib.util.find_spec(
+                name
+            )  # by all finders, including those of editable installs
         else:
             holder = sys.modules.get(package)
-            spec = PathFinder.find_spec(name, getattr(holder, "__path__", None) or _folders_of(package))
+            spec = PathFinder.find_spec(
+                name, getattr(holder, "__path__", None) or _folders_of(package)
+            )
     except (ImportError, ValueError):
         return None
-    return None if spec is None or not spec.has_location or spec.origin is None else Path(spec.origin)
+    return (
+        None if spec is None or not spec.has_location or spec.origin is None else Path(spec.origin)
+    )
 
 
 def _folders_of(package: str) -> list[str]:
     parent, _, _ = package.rpartition(".")
-    spec = PathFinder.find_spec(package, _folders_of(parent)) if parent else importlib.util.find_spec(package)
+    spec = (
+        PathFinder.find_spec(package, _folders_of(parent))
+        if parent
+        else importlib.util.find_spec(package)
+    )
     return [] if spec is None else list(spec.submodule_search_locations or [])
 
 
@@ -221,7 +276,10 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
         return
     try:
         tree = ast.parse(content)
-    except (SyntaxError, ValueError):  # the file was broken after its import; its hash has changed in any case
+    except (
+        SyntaxError,
+        ValueError,
+    ):  # the file was broken after its import; its hash has changed in any case
         return
     package = source.name if source.file.stem == "__init__" else source.name.rpartition(".")[0]
     for node in ast.walk(tree):
@@ -233,7 +291,10 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
                 base = importlib.util.resolve_name(base, package)
             except ImportError:  # a relative import in a file outside of a package
                 continue
-            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]  # a name may be a module, too
+            names = [
+                base,
+                *(f"{base}.{alias.name}" for alias in node.names),
+            ]  # a name may be a module, too
         else:
             continue
         for name in names:
@@ -243,7 +304,9 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
 
 def is_users(file: Path) -> bool:
     """Return whether a file belongs to the user, not to a package such as this one."""
-    return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, _library_folders()))
+    return not any(part in INSTALLED for part in file.parts) and not any(
+        map(file.is_relative_to, _library_folders())
+    )
 
 
 @functools.cache

@@ -23,7 +23,9 @@ def visible(text: str) -> str:
     """Escape unprintable characters and commands to CI runners, on one line."""
     # For example \n, \x1b, and \u202e, which reverses the text after it. A second call changes nothing.
     if not text.isprintable():
-        text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+        text = "".join(
+            each if each.isprintable() else each.encode("unicode_escape").decode() for each in text
+        )
     return re.sub(_COMMAND, lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
 
 
@@ -113,7 +115,11 @@ _GLUE = "\N{NO-BREAK SPACE}"
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
     """Wrap lines to a width [characters]."""
-    return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
+    return [
+        part
+        for line in lines
+        for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")
+    ]
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
@@ -121,7 +127,9 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     line = visible(line.expandtabs())  # before wrapping, which would turn line breaks into spaces
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
-    wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
+    wrapper = textwrap.TextWrapper(
+        width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False
+    )
     if len(line) <= width:
         return [line]
     return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text.strip()))]
@@ -134,8 +142,13 @@ MAX_TOLD = 3
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
     """Describe the first differences between a file's data and the data in this session."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
-    differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
-    told = [f"{key} is {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
+    differ = [
+        key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]
+    ]
+    told = [
+        f"{key} is {_shown(then, key)} in the file, {_shown(now, key)} now"
+        for key in differ[:MAX_TOLD]
+    ]
     return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
 
 

@@ -58,10 +58,14 @@ class FirstDecision:
     advice: str = ""
 
 
-def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
+def decision_asked(
+    rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario
+) -> FirstDecision | None:
     """Describe the first decision in a scenario, or return None if the run fails earlier."""
     seen: list[Any] = []
-    trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
+    trace = rollout(
+        scenario, lambda: seen.append
+    )  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
         return None
     # The run ended because the action was None. The error states the expected action.
@@ -156,7 +160,9 @@ class BaseWorld(ABC):
         # The methods of the environment that runs of a policy skip, although they change its state, with these changes.
         return {}
 
-    def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
+    def options_without_effect(
+        self, *, drives_itself: bool, simulates: bool = False
+    ) -> dict[str, list[str]]:
         """Return the options of the environment that have no effect in a search, grouped by reason.
 
         ``simulates`` is true if the policy receives the environment.
@@ -195,7 +201,9 @@ class BaseWorld(ABC):
         from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
 
         lane = self.road.lanes[0]
-        return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
+        return SearchedLanes(
+            straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit)
+        )
 
     @property
     def stock_road(self) -> Any:
@@ -216,7 +224,9 @@ class BaseWorld(ABC):
 
     @property
     def road_start(self) -> RoadStart | None:
-        return None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
+        return (
+            None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
+        )
 
     @property
     def straight_road(self) -> StraightRoad | None:
@@ -272,14 +282,21 @@ class BaseWorld(ABC):
             WorldError: if the name is unknown, the tick is not in the run, or the tick rate is not this world's.
         """
         if not 0 <= tick <= trace.ticks:
-            raise WorldError(field="tick", expected=f"a tick of the run, from 0 to {trace.ticks}", received=repr(tick))
+            raise WorldError(
+                field="tick",
+                expected=f"a tick of the run, from 0 to {trace.ticks}",
+                received=repr(tick),
+            )
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run with {self.rules.physics_hz} ticks per second, as in this world"
-            raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
+            raise WorldError(
+                field="trace", expected=expected, received=f"a run with {trace.physics_hz}"
+            )
         # The ego repeats its states, so the NPCs repeat theirs. The driver starts to watch shortly before the tick.
         seconds = tick / trace.physics_hz
         return self._driven_by(
-            lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)), trace.executed
+            lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)),
+            trace.executed,
         )
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
@@ -287,7 +304,9 @@ class BaseWorld(ABC):
         return RecordedBody(trace, tick)
 
     def _driven_by(
-        self, driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]], scenario: Scenario
+        self,
+        driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]],
+        scenario: Scenario,
     ) -> Trace:
         self.rules.check_fits(scenario)
         # A reference driver decides at every tick. `policy_hz` keeps the length of the environment's steps.
@@ -299,7 +318,9 @@ class BaseWorld(ABC):
 
         # Reference drivers draw no random numbers, but a user's code that ends runs may.
         has_code = self.rules.ends or self.rules.ends_in_steps
-        return GENERATORS.run(driven, scenario, driver_of) if has_code else driven(scenario, driver_of)
+        return (
+            GENERATORS.run(driven, scenario, driver_of) if has_code else driven(scenario, driver_of)
+        )
 
     def _planned(
         self,
@@ -311,10 +332,14 @@ class BaseWorld(ABC):
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
-        vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
+        vehicles, driver = planner_run(
+            rules, scenario, stock_road, ads, guard, decisions=decisions, body=body
+        )
         return vehicles.drive(driver, guard, self._own_ends(rules, scenario, vehicles, guard))
 
-    def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
+    def _own_ends(
+        self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+    ) -> OwnEnds | None:
         # The methods with which the environment of this world can end a run early, or None.
         return None
 
@@ -328,7 +353,9 @@ class BaseWorld(ABC):
         if self.lasts is not None:
             object.__setattr__(self, "lasts", number_within("lasts", self.lasts, *LASTS))
         if not isinstance(self.limits, NpcLimits):
-            raise WorldError(field="limits", expected="a pafot.NpcLimits object", received=repr(self.limits))
+            raise WorldError(
+                field="limits", expected="a pafot.NpcLimits object", received=repr(self.limits)
+            )
         try:
             object.__setattr__(self, "ego", VehicleType.parse(self.ego))
         except FieldError as error:
@@ -380,7 +407,11 @@ class BaseWorld(ABC):
     def most_on_grid(self) -> int:
         # The largest number of NPCs in cells around the ego's required start, or 8 if no start is required.
         start = self.road_start
-        return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
+        return (
+            len(Cell)
+            if start is None
+            else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
+        )
 
     def _has_cells(self, start: RoadStart, npcs: int) -> bool:
         chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
@@ -388,7 +419,11 @@ class BaseWorld(ABC):
             if npcs:
                 # The number that fits depends only on the cells around the start, so any instructions will do.
                 time = self.tick or 1.0
-                self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time))
+                self.check_fits(
+                    Scenario(
+                        npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time
+                    )
+                )
         except ScenarioError:
             return False
         return True
@@ -414,7 +449,9 @@ class TakingOver:
         try:
             return self.world.take_over(trace, tick, CAREFUL)
         except Exception as error:  # raised by a user's simulator
-            text = f"take_over with the driver {CAREFUL!r} failed in the {type(self.world).__name__}: "
+            text = (
+                f"take_over with the driver {CAREFUL!r} failed in the {type(self.world).__name__}: "
+            )
             raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
     def lasting(self, seconds: float) -> TakingOver:
@@ -464,9 +501,16 @@ class Highway(BaseWorld):
     lasts: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for name, bounds in (("lanes", LANE_COUNTS), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
+        for name, bounds in (
+            ("lanes", LANE_COUNTS),
+            ("physics_hz", PHYSICS_HZ),
+            ("ads_hz", ADS_HZ),
+        ):
             object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))
-        for name, low, high in (("speed_limit", 5.0, TOP_SPEED), ("duration", 1 / self.physics_hz, 3600.0)):
+        for name, low, high in (
+            ("speed_limit", 5.0, TOP_SPEED),
+            ("duration", 1 / self.physics_hz, 3600.0),
+        ):
             object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
         self._check_fields()
         check_divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
@@ -476,10 +520,16 @@ class Highway(BaseWorld):
     @cached_property
     def road(self) -> StraightRoad:
         # The road is so long that no vehicle reaches the end, even in a run that is continued.
-        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + DRIVEN_ON)
+        length = (
+            100.0
+            + 2 * ego_start(self.headway, self.clearance)
+            + TOP_SPEED * (self.duration + DRIVEN_ON)
+        )
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
-    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
+    def rollout(
+        self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()
+    ) -> Trace:
         """Simulate a scenario with a new policy.
 
         Args:
@@ -530,4 +580,6 @@ class Highway(BaseWorld):
 
     @cached_property
     def _rules(self) -> Rules:
-        return self._rules_on(self.road, physics_hz=self.physics_hz, ads_hz=self.ads_hz, duration=self.duration)
+        return self._rules_on(
+            self.road, physics_hz=self.physics_hz, ads_hz=self.ads_hz, duration=self.duration
+        )

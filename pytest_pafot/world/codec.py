@@ -51,7 +51,11 @@ def checked_world(given: Any) -> BaseWorld:
         world: BaseWorld = given
         return world
     if isinstance(given, BaseWorld):
-        name = next(each.__name__ for each in type(given).__mro__ if each in (*BUILT_IN.values(), SimulatorWorld))
+        name = next(
+            each.__name__
+            for each in type(given).__mro__
+            if each in (*BUILT_IN.values(), SimulatorWorld)
+        )
         fix = f"use pafot.{name} itself, because a file cannot describe what a derived class does"
     else:
         fix = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
@@ -76,7 +80,10 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
     hint = "a file cannot contain the code of your simulator. Use the world object itself, or --world module:factory"
     known = ", ".join(sorted([*BUILT_IN, *SIMULATORS]))
     raise WorldError(
-        field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint if kind == OWN else ""
+        field="world.kind",
+        expected=f"one of {known}",
+        received=repr(kind),
+        fix=hint if kind == OWN else "",
     )
 
 
@@ -84,21 +91,35 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
     _check_names(f"world (kind {kind})", values, BUILT_IN[kind])
     if "limits" in values:
         if not isinstance(values["limits"], dict):
-            raise WorldError(field="world.limits", expected="a mapping", received=repr(values["limits"]))
+            raise WorldError(
+                field="world.limits", expected="a mapping", received=repr(values["limits"])
+            )
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
         expected = "no wrappers, because a file cannot contain code"
         fix = "use pafot.World(..., wrappers=[...]) in the test, or --world module:factory"
-        raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
+        raise WorldError(
+            field="world.wrappers",
+            expected=expected,
+            received=f"{values['wrappers']!r:.200}",
+            fix=fix,
+        )
     if kind == "gym":
         if "env_id" not in values:
-            raise WorldError('world.env_id: expected an environment id, such as "highway-v0", received none')
+            raise WorldError(
+                'world.env_id: expected an environment id, such as "highway-v0", received none'
+            )
         config = values.get("config")
-        path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
+        path = (
+            config.get("other_vehicles_type", OTHER_VEHICLES)
+            if isinstance(config, dict)
+            else OTHER_VEHICLES
+        )
         if not _may_name(path):
             fix = (
-                "to use your own vehicle class, first import its module, because a corpus file cannot import other code"
+                "to use your own vehicle class, first import its module, because a corpus file "
+                "cannot import other code"
             )
             expected, place = "a class in highway_env.vehicle", "world.config.other_vehicles_type"
             raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
@@ -110,12 +131,16 @@ def _may_name(path: Any) -> bool:
     # that has already been imported, for example by the test.
     module, _, name = str(path).rpartition(".")
     found = vars(sys.modules.get(module, object)).get(name)
-    is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [each.__module__ for each in found.__mro__]
+    is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [
+        each.__module__ for each in found.__mro__
+    ]
     return isinstance(path, str) and (path.startswith("highway_env.vehicle.") or is_own)
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {field.name for field in fields(cls) if field.compare}  # the other fields are not part of a world
+    known = {
+        field.name for field in fields(cls) if field.compare
+    }  # the other fields are not part of a world
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         expected = f"no fields other than {listed(sorted(known))}"
@@ -125,7 +150,9 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
 def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
         received = ", ".join(values) or "none"
-        raise WorldError(field=f"world (kind {kind})", expected="only the field 'data'", received=received)
+        raise WorldError(
+            field=f"world (kind {kind})", expected="only the field 'data'", received=received
+        )
     # Imported only here, because the simulators import this module.
     simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
     try:
@@ -133,8 +160,13 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = f"data for pafot.{kind}", f"the class raised {type(error).__name__}: {error!s:.200}"
-        raise WorldError(field="world.data", expected=expected, received=safe_repr(values["data"]), fix=fix) from error
+        expected, fix = (
+            f"data for pafot.{kind}",
+            f"the class raised {type(error).__name__}: {error!s:.200}",
+        )
+        raise WorldError(
+            field="world.data", expected=expected, received=safe_repr(values["data"]), fix=fix
+        ) from error
 
 
 def described(world: BaseWorld) -> dict[str, Any]:
@@ -144,11 +176,17 @@ def described(world: BaseWorld) -> dict[str, Any]:
         return data
     maker = world.maker
     kind = maker.__module__.rpartition("pytest_pafot.simulators.")[2]
-    own = {"kind": kind} if SIMULATORS.get(kind) == maker.__name__ else {"kind": OWN, "class": maker.__name__}
+    own = (
+        {"kind": kind}
+        if SIMULATORS.get(kind) == maker.__name__
+        else {"kind": OWN, "class": maker.__name__}
+    )
     return {**own, "data": data}
 
 
-def world_of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> BaseWorld:
+def world_of_file(
+    data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None
+) -> BaseWorld:
     """Create the world that a file describes, with runs and decisions no longer than in the test's world ``own``.
 
     Raises:
@@ -162,14 +200,22 @@ def world_of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | 
         ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
-            expected, received = f"{what} of at most {most:g} s, as in the test's world", f"{asked:g} s"
+            expected, received = (
+                f"{what} of at most {most:g} s, as in the test's world",
+                f"{asked:g} s",
+            )
             raise WorldError(
-                field="world.data", expected=expected, received=received, fix="increase the limit of the test's world"
+                field="world.data",
+                expected=expected,
+                received=received,
+                fix="increase the limit of the test's world",
             )
     return world
 
 
-def limit_durations(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
+def limit_durations(
+    data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None
+) -> Mapping[str, Any]:
     """Return a world's data, changed so that runs and decisions take no longer than in the test's world ``own``.
 
     A file from an untrusted source must not decide how long a session takes. If a run is longer, only its start is
@@ -177,13 +223,19 @@ def limit_durations(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld 
     """
     limits: dict[str, float] = {}
     # A decision may take as long as in the test's world.
-    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else own.hang_limit
+    hang_limit, most_seconds = (
+        data.get("hang_limit"),
+        LONGEST_DECISION if own is None else own.hang_limit,
+    )
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
         # A run may have as many ticks as the longest run in the test's world. A longer run is shortened.
         config, longest = data.get("config"), _longest(data, own)
-        given = data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None
+        given = (
+            data.get("duration"),
+            config.get("duration") if isinstance(config, Mapping) else None,
+        )
         asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
         if min(asked, scenario.seconds) > longest + 1e-9:
             limits["duration"] = longest
@@ -193,16 +245,26 @@ def limit_durations(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld 
 def describe_limits(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
     """Describe how :func:`limit_durations` shortens the run in a file."""
     longest = limit_durations(data, scenario, own).get("duration")
-    return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
+    return (
+        []
+        if longest == data.get("duration")
+        else differences("world", data, {**data, "duration": longest})
+    )
 
 
 def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
     # The duration [s] with as many ticks in the file's world as the longest run has in the test's world.
     config = data.get("config")
-    rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
+    rate = (
+        config.get("simulation_frequency")
+        if isinstance(config, Mapping)
+        else data.get("physics_hz")
+    )
     try:
         # Files contain the requested duration, although runs end earlier on a short road.
-        seconds = float(own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"])
+        seconds = float(
+            own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"]
+        )
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
         return math.inf
@@ -226,7 +288,9 @@ def check_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
         expected = "a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
         received = f"{_title(data)} with its own rollout, which is no longer supported"
-        fix = "derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file"
+        fix = (
+            "derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file"
+        )
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
@@ -259,8 +323,14 @@ def describe_world_change(data: Mapping[str, Any], scenario: Scenario, own: Base
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
     if kind == OWN:
-        return f"a simulator of the class {data['class']}" if "class" in data else "a user's simulator"
+        return (
+            f"a simulator of the class {data['class']}" if "class" in data else "a user's simulator"
+        )
     if kind == "gym":
-        wrappers = f" with {', '.join(data['wrappers']) or 'its registered wrappers'}" if "wrappers" in data else ""
+        wrappers = (
+            f" with {', '.join(data['wrappers']) or 'its registered wrappers'}"
+            if "wrappers" in data
+            else ""
+        )
         return f"pafot.World({data['env_id']!r}){wrappers}"
     return "a pafot.Highway" if kind == "highway" else f"a world of the kind {kind}"

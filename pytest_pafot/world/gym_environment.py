@@ -33,9 +33,23 @@ from pytest_pafot.world.driving.vehicles import (
     straight_road,
     traffic_class,
 )
-from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, let_through, patience_with_world
+from pytest_pafot.world.guard.hang_guard import (
+    UNFIT,
+    AdsHang,
+    HangGuard,
+    WorldHang,
+    let_through,
+    patience_with_world,
+)
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.limits import ADS_HZ, CONNECTED, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
+from pytest_pafot.world.limits import (
+    ADS_HZ,
+    CONNECTED,
+    OTHER_KIND,
+    PHYSICS_HZ,
+    plain_data,
+    whole_within,
+)
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
@@ -90,7 +104,9 @@ SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 
 # The largest accepted number of entries of options that are lists.
 LONGEST: Mapping[str, int] = MappingProxyType(
     {
-        **dict.fromkeys(("features", "attributes", "scales"), 50),  # highway-env's vehicles have 13 features
+        **dict.fromkeys(
+            ("features", "attributes", "scales"), 50
+        ),  # highway-env's vehicles have 13 features
         "target_speeds": 100,
         "observation_configs": 20,
         "observation_shape": 2,
@@ -115,7 +131,15 @@ WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 ENDS = ("_is_terminated", "_is_truncated")
 # The classes of highway-env that terminate episodes only after a crash, or when the ego leaves a curved road. Both end
 # runs anyway.
-ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv")
+ENDED_ANYWAY = (
+    "AbstractEnv",
+    "ExitEnv",
+    "LaneKeepingEnv",
+    "RacetrackEnv",
+    "RoundaboutEnv",
+    "TwoWayEnv",
+    "UTurnEnv",
+)
 
 # The methods that are called only by an environment's `step` and `reset`. Runs do not need them.
 LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
@@ -187,7 +211,10 @@ def _interrupted_method(error: AdsHang) -> str:
     found, is_own = "the environment", False
     for frame, _ in traceback.walk_tb(error.__traceback__):
         env, name = frame.f_locals.get("self"), frame.f_code.co_name
-        is_users = str(frame.f_globals.get("__name__")).partition(".")[0] not in ("gymnasium", "highway_env")
+        is_users = str(frame.f_globals.get("__name__")).partition(".")[0] not in (
+            "gymnasium",
+            "highway_env",
+        )
         if isinstance(env, gymnasium.Env) and not name.startswith("<") and (is_users or not is_own):
             found, is_own = f"{type(env).__name__}.{name}", is_users
     return found
@@ -222,7 +249,9 @@ class GymEnvironment:
         except WorldHang as error:
             fix = "correct the environment, or increase the world's hang_limit"
             expected = "an environment whose methods return in time"
-            raise WorldError(field="env_id", expected=expected, received=f"one in which {error}", fix=fix) from error
+            raise WorldError(
+                field="env_id", expected=expected, received=f"one in which {error}", fix=fix
+            ) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
         """Create an environment, including all its wrappers, with or without random traffic.
@@ -238,7 +267,9 @@ class GymEnvironment:
             # In episodes with its own traffic, an environment keeps the constants that it changes, as in its __init__.
             kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
             with kept as changed, self.in_time():
-                env = _make_environment(self.env_id, creator, self._given_config, has_traffic=has_traffic)
+                env = _make_environment(
+                    self.env_id, creator, self._given_config, has_traffic=has_traffic
+                )
             self._changed.update(changed)
         except WorldError:
             raise
@@ -252,7 +283,9 @@ class GymEnvironment:
             expected = f"a configuration that the environment {self.env_id} accepts"
             if not given:
                 field, received = "env_id", repr(self.env_id)
-                expected = "an environment that can be created with gymnasium.make and reset with seed 0"
+                expected = (
+                    "an environment that can be created with gymnasium.make and reset with seed 0"
+                )
             fix = f"the environment raised {type(error).__name__}: {error!s:.200}"
             raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
@@ -355,7 +388,9 @@ class GymEnvironment:
         Raises:
             WorldError: if the NPCs cannot have this class.
         """
-        given = self.unwrapped.config.get("other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle")
+        given = self.unwrapped.config.get(
+            "other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle"
+        )
         road = self.road(np.random.default_rng(0))
         road.vehicles = [self.unwrapped.vehicle]
         try:
@@ -381,7 +416,9 @@ class GymEnvironment:
             self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
         )
         if isinstance(made, EgosRegulatedRoad):
-            made.steps = own.steps  # a reset has done some steps, and the count decides when rules are enforced next
+            made.steps = (
+                own.steps
+            )  # a reset has done some steps, and the count decides when rules are enforced next
         return made
 
     @cached_property
@@ -400,7 +437,9 @@ class GymEnvironment:
     @property
     def route(self) -> tuple[Any, ...] | None:
         """The ego's planned route, or None if it has none or the road is straight."""
-        route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
+        route = (
+            getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
+        )
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
@@ -427,7 +466,9 @@ class GymEnvironment:
         for name in ENDS:
             method = getattr(cls, name)  # in a user's class, it need not be a function
             owner = getattr(method, "__qualname__", "").partition(".")[0]
-            by_crash = owner in ENDED_ANYWAY or (owner == "HighwayEnv" and not config.get("offroad_terminal"))
+            by_crash = owner in ENDED_ANYWAY or (
+                owner == "HighwayEnv" and not config.get("offroad_terminal")
+            )
             is_stock = str(getattr(method, "__module__", "")).startswith("highway_env.")
             if not is_stock or (name == "_is_terminated" and not by_crash):
                 found.append(name)
@@ -440,7 +481,9 @@ class GymEnvironment:
         A ``TimeLimit`` around other wrappers is ignored here, because these wrappers may repeat steps.
         """
         inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
-        return min((each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None)
+        return min(
+            (each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None
+        )
 
     @property
     def has_own_ends(self) -> bool:
@@ -449,7 +492,12 @@ class GymEnvironment:
         This includes all environments with a user's ``step``, because the return value of ``step`` is not known in
         advance.
         """
-        return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
+        return (
+            bool(self.own_ends)
+            or self.step_limit is not None
+            or self.has_own_step
+            or self.sets_ends
+        )
 
     @cached_property
     def ends_in_steps(self) -> bool:
@@ -459,7 +507,8 @@ class GymEnvironment:
         """
         others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
         return self.has_own_step or any(
-            isinstance(each, TimeLimit) or not type(each).step.__module__.startswith("gymnasium.") for each in others
+            isinstance(each, TimeLimit) or not type(each).step.__module__.startswith("gymnasium.")
+            for each in others
         )
 
     @cached_property
@@ -474,14 +523,19 @@ class GymEnvironment:
         Each run gets copies of the values, except for objects of libraries and values that cannot be copied.
         """
         env, found = self.unwrapped, []
-        homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {"highway_env", "gymnasium"}
+        homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {
+            "highway_env",
+            "gymnasium",
+        }
         for name, value in vars(env).items():
             home = type(value).__module__.partition(".")[0]
             is_own = isinstance(value, MUTABLE) or (home in homes and home != "builtins")
             if not is_own or name in (*WITH_EGO, "config"):
                 continue
             with suppress(Exception):
-                copy.deepcopy(value, {id(env): env, id(env.road): env.road, id(env.vehicle): env.vehicle})
+                copy.deepcopy(
+                    value, {id(env): env, id(env.road): env.road, id(env.vehicle): env.vehicle}
+                )
                 found.append(name)
         return tuple(found)
 
@@ -499,13 +553,19 @@ class GymEnvironment:
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
-        own = [name for name in LEFT_OUT if not str(getattr(cls, name).__module__).startswith("highway_env.")]
+        own = [
+            name
+            for name in LEFT_OUT
+            if not str(getattr(cls, name).__module__).startswith("highway_env.")
+        ]
         if not own:
             return found
         env = self.make().unwrapped
         seen, action = env.observation_type.observe(), env.action_space.sample()
         for name in own:
-            given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(name, (action,))
+            given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(
+                name, (action,)
+            )
             before = _plain_state(env)
             with suppress(Exception), self.in_time():  # an episode would report the error
                 getattr(env, name)(*given)
@@ -535,9 +595,15 @@ class GymEnvironment:
         # attributes of the environment itself.
         env = self.unwrapped
         for name, value in vars(env).items():
-            parts = value if isinstance(value, (list, tuple, set)) else getattr(value, "__dict__", value)
+            parts = (
+                value
+                if isinstance(value, (list, tuple, set))
+                else getattr(value, "__dict__", value)
+            )
             parts = parts.values() if isinstance(parts, Mapping) else parts
-            is_looked_at = name not in WITH_EGO and value is not env.vehicle and isinstance(parts, Collection)
+            is_looked_at = (
+                name not in WITH_EGO and value is not env.vehicle and isinstance(parts, Collection)
+            )
             if is_looked_at and any(each is env.vehicle for each in parts):
                 return str(name)
         return ""
@@ -569,8 +635,14 @@ class GymEnvironment:
             elif name == "initial_lane_id" and is_straight and given[name] is not None:
                 told = f"write ego_lane={given[name]!r:.20}"
             elif name == "offroad_terminal" and is_straight and given[name] and not ends:
-                told = "runs continue after the ego leaves a straight road, which run.off_road reports"
-            elif name in ("offroad_terminal", "terminate_off_road") and not is_straight and not given[name]:
+                told = (
+                    "runs continue after the ego leaves a straight road, which run.off_road reports"
+                )
+            elif (
+                name in ("offroad_terminal", "terminate_off_road")
+                and not is_straight
+                and not given[name]
+            ):
                 told = "runs on this road end when the ego leaves it"
             if told:
                 found.setdefault(told, []).append(name)
@@ -581,7 +653,9 @@ class GymEnvironment:
         """All JSON-compatible options of the environment, with the original values of the traffic options."""
         env = self.unwrapped
         values = {**env.default_config(), **self._given_config}
-        values |= {name: env.config[name] for name in values if name in env.config and name not in REPLACED}
+        values |= {
+            name: env.config[name] for name in values if name in env.config and name not in REPLACED
+        }
         config: dict[str, Any] = {}
         for name, value in values.items():
             with suppress(WorldError):
@@ -609,7 +683,11 @@ def _beginning(outer: Any) -> dict[str, str]:
     # The values that a run reads from an environment after a reset, as strings by name.
     env = outer.unwrapped
     replaced = (*TRAFFIC_OPTIONS, *REPLACED)
-    found = {f"config[{name!r}]": repr(value) for name, value in env.config.items() if name not in replaced}
+    found = {
+        f"config[{name!r}]": repr(value)
+        for name, value in env.config.items()
+        if name not in replaced
+    }
     for index, lane in env.road.network.lanes_dict().items():
         points = [lane.position(share * lane.length, 0).tolist() for share in (0.0, 0.5, 1.0)]
         found[f"lane {index}"] = repr((points, lane.width_at(0), lane.speed_limit))
@@ -618,7 +696,9 @@ def _beginning(outer: Any) -> dict[str, str]:
         place = (round(float(each), 6) for each in (*ego.position, ego.heading, ego.speed))
         found["vehicle"] = f"{type(ego).__name__} at {', '.join(map(str, place))}"
         found["vehicle.target_speeds"] = repr(getattr(ego, "target_speeds", None))
-    return found | {name: repr(getattr(outer, name)) for name in ("observation_space", "action_space")}
+    return found | {
+        name: repr(getattr(outer, name)) for name in ("observation_space", "action_space")
+    }
 
 
 def _assigned(cls: Any, name: str) -> list[str]:
@@ -627,15 +707,22 @@ def _assigned(cls: Any, name: str) -> list[str]:
     for called in names:
         functions = [vars(each).get(called) for each in cls.__mro__]
         for function in functions:
-            if not isinstance(function, FunctionType) or str(function.__module__).startswith("highway_env."):
+            if not isinstance(function, FunctionType) or str(function.__module__).startswith(
+                "highway_env."
+            ):
                 continue
             with suppress(OSError, SyntaxError):
                 for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))):
                     place = node.value if isinstance(node, ast.Subscript) else node
-                    if isinstance(place, ast.Attribute) and isinstance(getattr(node, "ctx", None), ast.Store):
+                    if isinstance(place, ast.Attribute) and isinstance(
+                        getattr(node, "ctx", None), ast.Store
+                    ):
                         found[ast.unparse(node).removeprefix("self.")] = None
                     method = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-                    if method.startswith("self.") and (own := method.removeprefix("self.")) not in names:
+                    if (
+                        method.startswith("self.")
+                        and (own := method.removeprefix("self.")) not in names
+                    ):
                         names.append(own)
     return list(found)
 
@@ -679,14 +766,18 @@ def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
     while queue:
         classes.add(queue[-1])
         queue.extend(queue.pop().__subclasses__())
-    before = {cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes}
+    before = {
+        cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes
+    }
     changed = dict[Any, dict[str, Any]]()
     try:
         yield changed
     finally:
         for cls, constants in before.items():
             now = {name: value for name, value in vars(cls).items() if name.isupper()}
-            if own := {name: value for name, value in now.items() if value is not constants.get(name)}:
+            if own := {
+                name: value for name, value in now.items() if value is not constants.get(name)
+            }:
                 changed[cls] = own
             for name in now.keys() - constants:
                 delattr(cls, name)
@@ -705,7 +796,9 @@ def _wrap(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
             received = f"{wrapper!r:.200}, which raised {type(error).__name__}: {error}"
             raise WorldError(f"{expected}, received {received}") from error
         if not isinstance(outer, gymnasium.Env) or outer.unwrapped is not env.unwrapped:
-            raise WorldError(f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}")
+            raise WorldError(
+                f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}"
+            )
     return outer
 
 
@@ -714,7 +807,9 @@ def _creator(env_id: str) -> Any:
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
         entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
-        homes = ((name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries)
+        homes = (
+            (name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries
+        )
         # gymnasium's own environments would be rejected.
         near = difflib.get_close_matches(
             env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
@@ -724,7 +819,9 @@ def _creator(env_id: str) -> Any:
             f"{meant}highway-env's straight roads are in {' and '.join(known)}. To use your own environment, first "
             f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}"
         )
-        raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
+        raise WorldError(
+            field="env_id", expected="a registered environment", received=repr(env_id), fix=fix
+        )
     entry_point = gymnasium.registry[env_id].entry_point
     return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
 
@@ -733,7 +830,10 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
     if not issubclass(cls, AbstractEnv):
         expected = "an environment derived from highway-env's AbstractEnv"
         raise WorldError(
-            field="env_id", expected=expected, received=f"{env_id!r} ({cls.__name__})", fix=f"write {OTHER_KIND}"
+            field="env_id",
+            expected=expected,
+            received=f"{env_id!r} ({cls.__name__})",
+            fix=f"write {OTHER_KIND}",
         )
 
 
@@ -744,7 +844,9 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
         if name in given:
             whole_within(f"config.{name}", given[name], *bounds)
     if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
-        given = {name: given[name] for name in ("observation", "action", "scaling") if name in given}
+        given = {
+            name: given[name] for name in ("observation", "action", "scaling") if name in given
+        }
     _check_size("config", given)
     if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
         expected, received = f"at most {MOST_NUMBERS:,} numbers", f"about {numbers:,.0f}"
@@ -761,10 +863,15 @@ def _check_size(place: str, config: Any) -> None:
     cells = _cells(config) if config.get("type") == "OccupancyGrid" else 0.0
     if not cells <= MOST_CELLS:
         received = "infinitely many cells" if cells == math.inf else f"{cells:,.0f} cells"
-        raise WorldError(field=f"{place}.grid_step", expected=f"at most {MOST_CELLS:,} cells", received=received)
+        raise WorldError(
+            field=f"{place}.grid_step", expected=f"at most {MOST_CELLS:,} cells", received=received
+        )
     for name, value in config.items():
         if limit := _exceeded(name, value):
-            expected, received = f"{limit}, so that the environment can be created within seconds", f"{value!r:.100}"
+            expected, received = (
+                f"{limit}, so that the environment can be created within seconds",
+                f"{value!r:.100}",
+            )
             raise WorldError(field=f"{place}.{name}", expected=expected, received=received)
         _check_size(f"{place}.{name}", value)
 
@@ -775,11 +882,17 @@ def _exceeded(name: str, value: Any) -> str:
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
         return f"at most {LONGEST[name]} entries"
-    if name == "weights" and len(numbers) < len(entries):  # a matrix would make one image per column
+    if name == "weights" and len(numbers) < len(
+        entries
+    ):  # a matrix would make one image per column
         return "one number for each colour"
     if any(each > LARGEST.get(name, math.inf) for each in numbers):
         return f"at most {LARGEST[name]:g}"
-    return f"at least {SMALLEST[name]:g}" if any(0 < each < SMALLEST.get(name, 0) for each in numbers) else ""
+    return (
+        f"at least {SMALLEST[name]:g}"
+        if any(0 < each < SMALLEST.get(name, 0) for each in numbers)
+        else ""
+    )
 
 
 def _length(value: Any, default: int) -> int:
@@ -802,11 +915,17 @@ def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
         return 0.0
 
     def product(*values: Any) -> float:
-        numbers = [each for value in values for each in (value if isinstance(value, (list, tuple)) else [value])]
+        numbers = [
+            each
+            for value in values
+            for each in (value if isinstance(value, (list, tuple)) else [value])
+        ]
         return math.prod(min(abs(each), 1e9) for each in numbers if isinstance(each, (int, float)))
 
     parts = observation.get("observation_configs") or [observation.get("observation_config")]
-    inner = sum(_numbers(part, config) for part in parts) if isinstance(parts, (list, tuple)) else 0.0
+    inner = (
+        sum(_numbers(part, config) for part in parts) if isinstance(parts, (list, tuple)) else 0.0
+    )
     own, kind = 0.0, observation.get("type")
     if kind == "OccupancyGrid":
         own = _cells(observation) * _length(observation.get("features"), 4)
@@ -825,21 +944,31 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
     unknown = sorted(set(given) - set(default))
     if unknown:
         fix = _hint(unknown[0], default)
-        raise WorldError(field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix)
+        raise WorldError(
+            field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix
+        )
     for name, value in given.items():
-        if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail during a run
+        if isinstance(value, str) and isinstance(
+            default[name], (int, float)
+        ):  # it would fail during a run
             expected = f"a number such as {default[name]!r}"
             raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
     if (egos := env.config.get("controlled_vehicles", 1)) != 1:
         fix = "all other vehicles are NPCs"
-        raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
+        raise WorldError(
+            field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix
+        )
     if env.config.get("manual_control"):
         expected, fix = "False, because the policy drives", "omit this option"
         received = repr(env.config["manual_control"])
-        raise WorldError(field="config.manual_control", expected=expected, received=received, fix=fix)
+        raise WorldError(
+            field="config.manual_control", expected=expected, received=received, fix=fix
+        )
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
-        if name in given and type(kind).__module__ == module.__name__:  # options of other classes are not known
+        if (
+            name in given and type(kind).__module__ == module.__name__
+        ):  # options of other classes are not known
             _check_names(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
 
 
@@ -853,7 +982,9 @@ def _check_names(place: str, given: Any, known: Collection[str]) -> None:
     for name in given:
         if name not in known:
             fix = _hint(name, known)
-            raise WorldError(field=place, expected="a highway-env option", received=str(name), fix=fix)
+            raise WorldError(
+                field=place, expected="a highway-env option", received=str(name), fix=fix
+            )
         if name in NESTED:
             _check_names(f"{place}.{name}", given[name], known)
 
@@ -865,19 +996,30 @@ def _hint(name: str, known: Collection[str]) -> str:
 
 def _options(module: Any) -> set[str]:
     # Each class also accepts the options of all other classes, and highway-env's configurations rely on that.
-    kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
+    kinds = [
+        each
+        for each in vars(module).values()
+        if inspect.isclass(each) and each.__module__ == module.__name__
+    ]
     taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
-    return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
+    return (taken - {"env", "kwargs"}) | {
+        "type",
+        "flatten",
+    }  # intersection-v0 has "flatten", which no class uses
 
 
-def _make_environment(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
+def _make_environment(
+    env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
+) -> Any:
     # Reset with seed 0, because the road and the start may be random.
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
     if not has_traffic:
         config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
     parameters = inspect.signature(creator).parameters
-    takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+    takes_config = "config" in parameters or any(
+        each.kind is each.VAR_KEYWORD for each in parameters.values()
+    )
     keywords: dict[str, Any] = {"config": config} if takes_config else {}
     with warnings.catch_warnings():  # a user who chose merge-v0 needs no warning in every run
         warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
@@ -895,7 +1037,9 @@ def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):
-            return name in known and repr(plain_data(name, value)) == repr(plain_data(name, known[name]))
+            return name in known and repr(plain_data(name, value)) == repr(
+                plain_data(name, known[name])
+            )
         return False
 
     return {name: known[name] if is_known(name, value) else value for name, value in config.items()}

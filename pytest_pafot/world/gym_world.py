@@ -87,30 +87,48 @@ class World(BaseWorld):
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
-            expected = 'the id of a registered environment, without a module name, such as "highway-v0"'
+            expected = (
+                'the id of a registered environment, without a module name, such as "highway-v0"'
+            )
             fix = "first import the module that registers the environment"
             fix = fix if isinstance(self.env_id, str) else f"{fix}, or write {OTHER_KIND}"
             raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
         if self.config is not None and not isinstance(self.config, dict):
-            raise WorldError(field="config", expected="a dict of the environment's options", received=repr(self.config))
+            raise WorldError(
+                field="config",
+                expected="a dict of the environment's options",
+                received=repr(self.config),
+            )
         object.__setattr__(self, "config", plain_data("config", self.config))
         self._check_fields()
         if self.duration is not None:
-            object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
+            object.__setattr__(
+                self, "duration", number_within("duration", self.duration, 0.1, 3600.0)
+            )
         if self.planner_hz is not None:
-            object.__setattr__(self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ))
+            object.__setattr__(
+                self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ)
+            )
         if self.ends not in ENDS:
-            raise WorldError(field="ends", expected=" or ".join(map(repr, ENDS)), received=f"{self.ends!r:.200}")
+            raise WorldError(
+                field="ends", expected=" or ".join(map(repr, ENDS)), received=f"{self.ends!r:.200}"
+            )
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
             expected = "no wrappers with planner_hz=, because a planner in SI units does not act through wrappers"
-            raise WorldError(field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}")
+            raise WorldError(
+                field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}"
+            )
         if not isinstance(self.wrappers, (list, tuple)):
-            raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
+            raise WorldError(
+                field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}"
+            )
         for index, each in enumerate(self.wrappers):
             if not callable(each):
-                raise WorldError(field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}")
+                raise WorldError(
+                    field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}"
+                )
         object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
@@ -194,7 +212,11 @@ class World(BaseWorld):
         if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
             # In some environments, policies need the environment's own steps, but vehicle classes do not.
             ads = policy.make()
-            policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
+            policy = Policy(
+                ads.given
+                if ads.drives_itself
+                else wraps(ads_factory, updated=())(lambda: ads.given)
+            )
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
@@ -220,15 +242,21 @@ class World(BaseWorld):
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
         is_planner = self.planner_hz is not None
-        return replay_environment(self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner)
+        return replay_environment(
+            self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner
+        )
 
-    def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
+    def _own_ends(
+        self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+    ) -> OwnEnds | None:
         from pytest_pafot.world.engines import gym_replay, policies  # noqa: PLC0415  (import highway-env)
 
         ends_beside = gym_replay.episode_beside if rules.ends_in_steps else policies.ends_beside
         return ends_beside(self.environment, rules, scenario, vehicles, guard)
 
-    def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
+    def options_without_effect(
+        self, *, drives_itself: bool, simulates: bool = False
+    ) -> dict[str, list[str]]:
         is_planner, ends = self.planner_hz is not None, self.ends == "environment"
         return self.environment.without_effect(
             is_planner=is_planner, drives_itself=drives_itself, simulates=simulates, ends=ends
@@ -236,7 +264,9 @@ class World(BaseWorld):
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        is_episode = self.wrappers is not None or self.environment.episodes_itself(drives_itself=False)
+        is_episode = self.wrappers is not None or self.environment.episodes_itself(
+            drives_itself=False
+        )
         left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
         asked = () if self.ends == "duration" else self.environment.own_ends
         return {name: changed for name, changed in left_out.items() if name not in asked}
@@ -249,12 +279,16 @@ class World(BaseWorld):
         """
         data = {"kind": "gym", **self._to_dict(wrappers=None)}
         data["config"] = self.environment.whole_config
-        data["duration"] = self._wanted if self.road.is_straight else min(self._wanted, self._longest)
+        data["duration"] = (
+            self._wanted if self.road.is_straight else min(self._wanted, self._longest)
+        )
         if self.planner_hz is None:
             del data["planner_hz"]
         if self.ends == "environment" or not (self.wrappers or self.environment.has_own_ends):
             del data["ends"]
-        return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
+        return (
+            data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
+        )
 
     @cached_property
     def environment(self) -> GymEnvironment:
@@ -279,7 +313,9 @@ class World(BaseWorld):
     def _rules(self) -> Rules:
         env = self.environment.unwrapped
         config = env.config
-        physics_hz = whole_within("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
+        physics_hz = whole_within(
+            "config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ
+        )
         name, value = "config.policy_frequency", config["policy_frequency"]
         if self.planner_hz is not None:
             name, value = "planner_hz", self.planner_hz
@@ -295,7 +331,9 @@ class World(BaseWorld):
             duration = min(duration, self._longest)
             surveyed = survey(env, self.env_id, self.limits, duration * TOP_SPEED)
             road = way = with_junction(env, surveyed, self.limits, self.ego)
-            if way.ego_speed > 0:  # the run ends when an ego at its initial speed would reach the end of the road
+            if (
+                way.ego_speed > 0
+            ):  # the run ends when an ego at its initial speed would reach the end of the road
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
         obstacles = self.environment.obstacles
@@ -305,18 +343,27 @@ class World(BaseWorld):
         in_steps = self.planner_hz is None and self.environment.ends_in_steps
         made = replace(made, ends=self.environment.own_ends, ends_in_steps=in_steps)
         # A user's `step` may repeat actions, so the number of its ticks is not known.
-        is_known = not self.environment.has_own_step or type(env).step.__module__.startswith("highway_env.")
+        is_known = not self.environment.has_own_step or type(env).step.__module__.startswith(
+            "highway_env."
+        )
         if (steps := self.environment.step_limit) is None or not is_known:
             return made
         limit = steps * made.step_ticks
         # If no duration is set, as in two-way-v0, the limit is the intended duration, so no run ends early.
-        is_early = limit < duration * physics_hz and (self.duration is not None or "duration" in config)
-        return replace(made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz))
+        is_early = limit < duration * physics_hz and (
+            self.duration is not None or "duration" in config
+        )
+        return replace(
+            made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz)
+        )
 
     @property
     def _wanted(self) -> float:
         # The duration [s] on a straight road: `duration` or, if it is None, the environment's own duration.
-        config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
+        config, name = (
+            self.environment.unwrapped.config,
+            "config.duration" if self.duration is None else "duration",
+        )
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
@@ -331,12 +378,18 @@ class World(BaseWorld):
 def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a world's discrete meta-actions, ordered by number, or an empty tuple if there are none."""
     config = world.get("config")
-    given = config.get("action") if isinstance(config, Mapping) and not world.get("planner_hz") else None
+    given = (
+        config.get("action")
+        if isinstance(config, Mapping) and not world.get("planner_hz")
+        else None
+    )
     if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":
         return ()
     from pytest_pafot.world.stock import action  # noqa: PLC0415  (slow to import, and a report may have no such run)
 
     kind = action.DiscreteMetaAction
     along, across = given.get("longitudinal", True), given.get("lateral", True)
-    names = kind.ACTIONS_ALL if along and across else kind.ACTIONS_LONGI if along else kind.ACTIONS_LAT
+    names = (
+        kind.ACTIONS_ALL if along and across else kind.ACTIONS_LONGI if along else kind.ACTIONS_LAT
+    )
     return tuple(names[number] for number in range(len(names)))

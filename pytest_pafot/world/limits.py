@@ -65,13 +65,19 @@ class NpcLimits:
 
     def __post_init__(self) -> None:
         for name, bounds in BOUNDS.items():
-            object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
+            object.__setattr__(
+                self, name, number_within(f"limits.{name}", getattr(self, name), *bounds)
+            )
 
     def for_vehicle(self, vehicle: VehicleType) -> NpcLimits:
         """Return the limits for NPCs of a vehicle type, which can be lower than these limits."""
         if vehicle is CAR:
             return self  # the result of the code below, but faster
-        own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
+        own = {
+            name: getattr(vehicle, name)
+            for name in OF_VEHICLES
+            if getattr(vehicle, name) < getattr(self, name)
+        }
         return replace(self, **own) if own else self
 
     def top_speed(self, speed_limit: float) -> float:
@@ -83,7 +89,9 @@ class NpcLimits:
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:
             why = f"NPCs can drive {self.overspeed:g} times the limit, and highway-env's top speed is {TOP_SPEED:g} m/s"
-            expected = f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
+            expected = (
+                f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
+            )
             raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed
 
@@ -126,7 +134,9 @@ def plain_data(name: str, value: Any) -> Any:
         return [plain_data(f"{name}[{index}]", item) for index, item in enumerate(value)]
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return plain_data(name, value.tolist())
-    if value is None or (isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value))):
+    if value is None or (
+        isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value))
+    ):
         return value
     fix = "use numbers, strings, lists and mappings, which a corpus file can contain"
     raise WorldError(field=name, expected="JSON-compatible data", received=repr(value), fix=fix)
@@ -147,5 +157,7 @@ def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
     divisors = ", ".join(str(n) for n in range(1, physics_hz + 1) if physics_hz % n == 0)
     expected = f"a divisor of {physics_name} ({physics_hz}), so that every decision lasts a whole number of ticks"
     higher = math.ceil(physics_hz / ads_hz) * ads_hz
-    fix = f"use one of {divisors}" + (f", or set {physics_name} to {higher}" if higher <= PHYSICS_HZ[1] else "")
+    fix = f"use one of {divisors}" + (
+        f", or set {physics_name} to {higher}" if higher <= PHYSICS_HZ[1] else ""
+    )
     raise WorldError(field=ads_name, expected=expected, received=str(ads_hz), fix=fix)

@@ -32,12 +32,16 @@ class Plausibility:
         self._slack = SLACK + CHANGE * dt * dt / 2
         self._before = self._states = states
         self._tick = 0
-        self._seen = [(x, y, 0) for x, y, *_ in self._states]  # when and where each vehicle last moved or was slow
+        self._seen = [
+            (x, y, 0) for x, y, *_ in self._states
+        ]  # when and where each vehicle last moved or was slow
         # An impossible change in speed in the last tick. A user's code may stop vehicles suddenly in a collision, which
         # ends the run in that tick. So the change is an error only if there is a next tick.
         self.doubt = ""
 
-    def check(self, states: Sequence[Sequence[float]], method: str, accelerations: Sequence[float] = ()) -> None:
+    def check(
+        self, states: Sequence[Sequence[float]], method: str, accelerations: Sequence[float] = ()
+    ) -> None:
         """Check the states that the user's ``method`` has set for the next tick.
 
         Raises:
@@ -48,7 +52,9 @@ class Plausibility:
             raise Implausible(self.doubt)
         # Distances are measured between positions, so the bend of a lane does not matter.
         dt, seen, slack, change = self._dt, self._seen, self._slack, self._change
-        for number, ((x, y, _, speed), (old_x, old_y, _, old)) in enumerate(zip(states, self._states, strict=True)):
+        for number, ((x, y, _, speed), (old_x, old_y, _, old)) in enumerate(
+            zip(states, self._states, strict=True)
+        ):
             moved = math.hypot(x - old_x, y - old_y)
             if not moved <= abs(old) * dt + slack:
                 # It can move as far as its new speed allows, if that is no jump. It can also slide as far as in the
@@ -61,7 +67,9 @@ class Plausibility:
             # A user's controller may request more than a vehicle can do. Then `accelerations` [m/s^2] explain the
             # change.
             is_jump = not -change <= speed - old <= change and not self.doubt
-            if is_jump and (not accelerations or abs(old + accelerations[number] * dt - speed) > 1e-6):
+            if is_jump and (
+                not accelerations or abs(old + accelerations[number] * dt - speed) > 1e-6
+            ):
                 what = f"changed its stated speed from {old:.1f} to {speed:.1f} m/s in a tick"
                 self.doubt = f"{method}, tick {tick}: {vehicle_name(number)} {what}"
             # A vehicle must not stay in one position while it reports a speed.

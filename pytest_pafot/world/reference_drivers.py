@@ -60,7 +60,9 @@ SPEED_GAIN = 0.5
 
 # The critical headways of a left turn from the major road, and of a right and a left turn from the minor road (Highway
 # Capacity Manual) [s]. The driver waits for a vehicle that would arrive within this time after the driver's own entry.
-CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
+CRITICAL: Mapping[Kind, float] = MappingProxyType(
+    {"oncoming": 4.1, "merging": 6.2, "crossing": 7.1}
+)
 # The distance between a waiting driver and the zone [m].
 LINE = 1.0
 # The driver starts to brake for a zone when stopping requires this braking, the comfortable braking of Treiber et al.
@@ -135,23 +137,38 @@ class ReferenceDriver(ABC):
     def __call__(self, observation: Observation) -> tuple[float, float]:
         """Return an acceleration [m/s^2] and a steering angle [rad]."""
         ego, others = observation.ego, observation.others
-        speeds, places = tuple([_along(other) for other in others]), tuple([other.y for other in others])
+        speeds, places = (
+            tuple([_along(other) for other in others]),
+            tuple([other.y for other in others]),
+        )
         self.own_speed, self.own_half = _along(ego), _half_length(ego)
         if self.wanted is None:
-            self.lane, self.wanted, self.now = ego.lane, min(ego.speed, observation.speed_limit), observation.time
+            self.lane, self.wanted, self.now = (
+                ego.lane,
+                min(ego.speed, observation.speed_limit),
+                observation.time,
+            )
         self.step, self.now = observation.time - self.now, observation.time
         step = self.step
         if step > 0 and len(self.speeds) == len(speeds):
-            self.brakings = tuple([(before - now) / step for before, now in zip(self.speeds, speeds, strict=True)])
-            self.drifts = tuple([(now - before) / step for before, now in zip(self.places, places, strict=True)])
+            self.brakings = tuple(
+                [(before - now) / step for before, now in zip(self.speeds, speeds, strict=True)]
+            )
+            self.drifts = tuple(
+                [(now - before) / step for before, now in zip(self.places, places, strict=True)]
+            )
         else:
             self.brakings = (0.0,) * len(speeds)
             self.drifts = tuple([other.speed * math.sin(other.heading) for other in others])
         self.speeds, self.places = speeds, places
         lowest = self.acceleration - self.JERK * self.step
         wish = min(self.wish(observation), self.at_junction(observation))
-        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)  # brakes are released immediately
-        steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
+        self.acceleration = max(
+            wish, min(lowest, 0.0), -self.HARDEST
+        )  # brakes are released immediately
+        steering = (
+            -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
+        )
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
@@ -164,12 +181,16 @@ class ReferenceDriver(ABC):
         """Return the highest acceleration [m/s^2] that vehicles on other paths allow, or infinity if there are none."""
         if not observation.crossing:
             return math.inf
-        meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
+        meeting = [
+            other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0
+        ]
         passes = [self.lets_pass(observation, other) for other in meeting]
         stops = [other.ego_distance for other, first in zip(meeting, passes, strict=True) if first]
         wishes = []
         for other, first in zip(meeting, passes, strict=True):
-            is_stop_in_it = any(other.ego_distance < stop < other.ego_to_leave + LINE for stop in stops)
+            is_stop_in_it = any(
+                other.ego_distance < stop < other.ego_to_leave + LINE for stop in stops
+            )
             wishes.append(self.before_zone(observation, other, first or is_stop_in_it))
         return min(wishes, default=math.inf)
 
@@ -179,16 +200,22 @@ class ReferenceDriver(ABC):
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
             gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
-            leader = Leader(gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0)
+            leader = Leader(
+                gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0
+            )
             return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
         if lets_pass < PERCEPTION + DELAY - EPSILON:
             return math.inf
         if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
             room = other.ego_distance - LINE
-            needed = ego.speed**2 / (2 * max(room, LINE / 2))  # near the line: no hard braking for a few cm
+            needed = ego.speed**2 / (
+                2 * max(room, LINE / 2)
+            )  # near the line: no hard braking for a few cm
             return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
         in_the_way = other.is_inside and other.ahead > 0
-        return -self.HARDEST if in_the_way else math.inf  # it is too late to stop, so the ego leaves the zone
+        return (
+            -self.HARDEST if in_the_way else math.inf
+        )  # it is too late to stop, so the ego leaves the zone
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
         """Return whether the driver waits before a zone until a vehicle has passed, or has left room behind it."""
@@ -212,7 +239,10 @@ class ReferenceDriver(ABC):
         ego = observation.ego
         room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
         leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
-        return any(leader is not None and leader.speed < CREEPING and leader.gap < room for leader in leaders)
+        return any(
+            leader is not None and leader.speed < CREEPING and leader.gap < room
+            for leader in leaders
+        )
 
     @abstractmethod
     def wish(self, observation: Observation) -> float:
@@ -239,7 +269,10 @@ class ReferenceDriver(ABC):
 
     def follow(self, speed: float, leader: Leader) -> float:
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
-        return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
+        return max(
+            min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION),
+            -GENTLE_BRAKING,
+        )
 
 
 @dataclass(slots=True)
@@ -268,7 +301,9 @@ class CarefulHuman(ReferenceDriver):
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
             is_known = f"noticed {index}" in self.since
-            if leader is not None and not matters_to(ego, other, self.drifts[index], observation.lane_width, is_known):
+            if leader is not None and not matters_to(
+                ego, other, self.drifts[index], observation.lane_width, is_known
+            ):
                 leader = None
             # How long the vehicle has mattered, has been a danger, and has required gentle braking.
             noticed = self.held(f"noticed {index}", leader is not None)
@@ -284,11 +319,18 @@ class CarefulHuman(ReferenceDriver):
                 # A foot that was moved for this vehicle before it became a danger is not moved again.
                 is_at_brake = foot >= danger or slowing >= PERCEPTION + DELAY - EPSILON
                 perceived = max(self.now, self.now - danger + PERCEPTION)
-                self.brakes_from = min(self.brakes_from, perceived + (0.0 if is_at_brake else DELAY))
-            if noticed >= PERCEPTION + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
+                self.brakes_from = min(
+                    self.brakes_from, perceived + (0.0 if is_at_brake else DELAY)
+                )
+            if (
+                noticed >= PERCEPTION + (DELAY if foot < noticed else 0.0) - EPSILON
+                or noticed == self.now
+            ):
                 calm = min(calm, follow)
             elif noticed >= PERCEPTION - EPSILON and follow < 0:
-                calm = min(calm, 0.0)  # the foot has left the accelerator, but is not yet on the brake
+                calm = min(
+                    calm, 0.0
+                )  # the foot has left the accelerator, but is not yet on the brake
         # Hard braking ends when no vehicle is critical and the ego is not faster than any of its leaders.
         if is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf
@@ -336,7 +378,9 @@ class Relief:
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CAREFUL: CarefulHuman})
 
 
-def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
+def matters_to(
+    ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool
+) -> bool:
     """Return whether a vehicle is in the ego's way, or visibly moves out of its lane towards the ego.
 
     ``drift`` is the vehicle's speed [m/s] to the right.
@@ -347,7 +391,9 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     # it still does while it pauses over the line.
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
-    if other.lane == ego.lane:  # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
+    if (
+        other.lane == ego.lane
+    ):  # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
         offset += lane_width
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
@@ -359,11 +405,15 @@ def _along(vehicle: VehicleState) -> float:
 
 
 def _half_length(vehicle: VehicleState) -> float:
-    return (vehicle.length * math.cos(vehicle.heading) + vehicle.width * abs(math.sin(vehicle.heading))) / 2
+    return (
+        vehicle.length * math.cos(vehicle.heading) + vehicle.width * abs(math.sin(vehicle.heading))
+    ) / 2
 
 
 def _half_width(vehicle: VehicleState) -> float:
-    return (vehicle.width * math.cos(vehicle.heading) + vehicle.length * abs(math.sin(vehicle.heading))) / 2
+    return (
+        vehicle.width * math.cos(vehicle.heading) + vehicle.length * abs(math.sin(vehicle.heading))
+    ) / 2
 
 
 def _apart(ego: VehicleState, other: VehicleState) -> float:

@@ -83,7 +83,9 @@ class Rules:
 
     def start_distance(self, scenario: Scenario, ego_length: float) -> float:
         # The distance between the centres of the ego and of cars that start ahead of or behind it [m].
-        return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
+        return float(ego_length + CAR.length) / 2 + max(
+            self.headway * scenario.ego_speed, self.clearance
+        )
 
     def start_cells(self, scenario: Scenario, ego_length: float) -> frozenset[Cell]:
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
@@ -109,7 +111,9 @@ class Rules:
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         if scenario.ego_lane not in self.road.start_lanes:
             expected, fix = self.road.said_of_start_lanes
-            raise ScenarioError(field="ego_lane", expected=expected, received=str(scenario.ego_lane), fix=fix)
+            raise ScenarioError(
+                field="ego_lane", expected=expected, received=str(scenario.ego_lane), fix=fix
+            )
         cells, crossings = self.start_cells(scenario, self.ego.length), scenario.crossings
         on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
         if on_grid > len(cells):
@@ -138,7 +142,9 @@ class Rules:
                 expected = f"a vehicle that can follow the bends of {zone or 'the road'}"
                 least = vehicle.length / (TIGHTEST * CAR.length)
                 fix = f"it needs bend radii of at least {least:.1f} m. Give the NPC a shorter vehicle or another path"
-                raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
+                raise ScenarioError(
+                    field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix
+                )
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
         """Return a fixed object at the ego's start, or within the headway if the ego can start anywhere."""
@@ -155,10 +161,14 @@ class Rules:
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
         expected = f"a lane without a fixed object at {where}"
         if road.prescribed is None:
-            expected = f"a lane without fixed objects for {self.headway:g} s at {speed:g} m/s from {where}"
+            expected = (
+                f"a lane without fixed objects for {self.headway:g} s at {speed:g} m/s from {where}"
+            )
             others = [lane for lane in road.start_lanes if lane != scenario.ego_lane]
             free = [lane for lane in others if self._at_start(lane, speed) is None]
-        received = f"lane {scenario.ego_lane}, which has an object at ({near[0]:.1f}, {near[1]:.1f}) m"
+        received = (
+            f"lane {scenario.ego_lane}, which has an object at ({near[0]:.1f}, {near[1]:.1f}) m"
+        )
         fix = f"write ego_lane={free[0]}" if free else "move the environment's objects"
         raise ScenarioError(field="ego_lane", expected=expected, received=received, fix=fix)
 
@@ -167,21 +177,31 @@ class Rules:
         if crossings is None:
             expected = "no crossing NPC, because no other path crosses the ego's path on this road"
             fix = 'use PositionInstruction(cell, speed), or a world with crossings, such as "intersection-v0"'
-            raise ScenarioError(field=place, expected=expected, received=f"zone {instruction.zone}", fix=fix)
+            raise ScenarioError(
+                field=place, expected=expected, received=f"zone {instruction.zone}", fix=fix
+            )
         if instruction.zone not in crossings.ways:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
             fix = "a path that starts with the ego's path, or does not meet it, has no zone"
-            raise ScenarioError(field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix)
+            raise ScenarioError(
+                field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix
+            )
         if crossings.fits(instruction):
             return
         most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
         slots = [slot / SLOT_STEPS_PER_SECOND for slot in range(-most, most + 1)]
         slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
         given = f"{instruction.zone} and {instruction.speed:g} m/s"
-        fits = f"a slot from {min(slots):g} to {max(slots):g} s at" if slots else "a zone or speed other than"
+        fits = (
+            f"a slot from {min(slots):g} to {max(slots):g} s at"
+            if slots
+            else "a zone or speed other than"
+        )
         expected = f"{fits} {given}, so that the NPC starts on its path before the zone"
         along = crossings.start(instruction)
-        received = f"{instruction.slot:g} s, with which the NPC would start {along:.0f} m along its path"
+        received = (
+            f"{instruction.slot:g} s, with which the NPC would start {along:.0f} m along its path"
+        )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
     def _check_speeds(self, scenario: Scenario) -> None:
@@ -190,7 +210,9 @@ class Rules:
         if scenario.ego_speed > top:
             reached = math.floor(100 * top) / 100
             expected = f"at most {reached:.2f} m/s, the NPCs' top speed, because NPCs start at the ego's speed"
-            raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
+            raise ScenarioError(
+                field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}"
+            )
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
                 if instruction.speed > limit + 1e-9:
@@ -213,7 +235,11 @@ def starts_of(
     A start consists of x [m], y [m], heading [rad] and speed [m/s].
     """
     road, start, apart = rules.road, rules.ego_start, rules.start_distance(scenario, ego_length)
-    around = [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]
+    around = [
+        kind
+        for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True)
+        if not chain[0].crosses
+    ]
     starts = []
     for cell, kind in zip(director.first_cells(), around, strict=True):
         lane, far = scenario.ego_lane + cell.column, apart + (kind.length - CAR.length) / 2

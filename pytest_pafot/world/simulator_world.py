@@ -122,9 +122,13 @@ class SimulatorWorld(BaseWorld):
             expected = "a subclass of pafot.Simulator, or a function without parameters that creates a simulator"
             name = type(self.simulator).__name__
             fix = f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)"
-            raise WorldError(field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix)
+            raise WorldError(
+                field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix
+            )
         if self.ads_hz is not None:
-            object.__setattr__(self, "ads_hz", whole_if_possible(number_within("ads_hz", self.ads_hz, *ADS_HZ)))
+            object.__setattr__(
+                self, "ads_hz", whole_if_possible(number_within("ads_hz", self.ads_hz, *ADS_HZ))
+            )
         object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
         self._check_fields()
 
@@ -196,7 +200,9 @@ class SimulatorWorld(BaseWorld):
         if lines is None:
             # A straight road without an end is as long as a run needs, even a continued run.
             length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
-            return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
+            return _OnRoad(
+                StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf
+            )
         from pytest_pafot.world.roads.survey import network_of, straight_along  # noqa: PLC0415  (not in each world)
 
         # Parallel straight lines that are long enough for a run are also a straight road.
@@ -204,7 +210,11 @@ class SimulatorWorld(BaseWorld):
             origin, length = found
             longest = (length - ends) / TOP_SPEED
             if longest >= min(self.duration, LEAST_RUN):
-                return _OnRoad(StraightRoad.uniform(len(lines), length, width, limit), Frame(stated, origin), longest)
+                return _OnRoad(
+                    StraightRoad.uniform(len(lines), length, width, limit),
+                    Frame(stated, origin),
+                    longest,
+                )
         from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for roads of other shapes)
 
         # On all other roads, the ego follows the lane in which it starts, as in an environment of highway-env.
@@ -212,9 +222,14 @@ class SimulatorWorld(BaseWorld):
         lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
         if at is None:
             at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
-        place, ahead = (np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)]) for each in (at, at + 1))
+        place, ahead = (
+            np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)])
+            for each in (at, at + 1)
+        )
         speed = min(EGO_SPEED, limit) if stated.start_speed is None else stated.start_speed
-        ego = SimpleNamespace(position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed)
+        ego = SimpleNamespace(
+            position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed
+        )
         network = network_of(lines, width, limit, stated.name)
         env = SimpleNamespace(road=SimpleNamespace(network=network), vehicle=ego)
         road = survey(env, stated.name, self.limits, self.duration * TOP_SPEED)
@@ -243,24 +258,33 @@ class SimulatorWorld(BaseWorld):
         # Without `ads_hz`, decisions are as far apart as possible, with at least 5 per second. If the ticks per second
         # are a whole number, they are a multiple of the ticks between decisions.
         slowest = int(hz / PLANNER_HZ + 1e-9)
-        every = next(each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0)
+        every = next(
+            each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0
+        )
         if self.ads_hz is not None:
             every = max(round(hz / self.ads_hz), 1)
             if abs(hz / self.ads_hz - every) > 1e-3 * every:
                 expected = f"a rate that divides {self._stated.name}'s {hz:.6g} ticks per second"
                 near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
                 fix = f"use {' or '.join(f'{hz / each:.6g}' for each in sorted(near))}"
-                raise WorldError(field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix)
+                raise WorldError(
+                    field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix
+                )
         ads_hz = whole_if_possible(hz / every)
         check_ticks(duration, hz)
         # On a short road, runs end where the road ends.
         duration = min(duration, self._on_road.longest)
-        return self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
+        return self._rules_on(
+            road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles
+        )
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
         # The position of an object is always its centre, regardless of the reference point for vehicles.
-        frame, found = Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin), []
+        frame, found = (
+            Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin),
+            [],
+        )
         for x, y, heading, length, width in self._stated.obstacles:
             # With a length of 0, the point of reference is the centre.
             placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
@@ -286,7 +310,9 @@ class SimulatorWorld(BaseWorld):
 
     is_resumable = True
 
-    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
+    def rollout(
+        self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()
+    ) -> Trace:
         """Simulate a scenario with a new policy.
 
         Args:
@@ -336,7 +362,9 @@ class SimulatorWorld(BaseWorld):
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
-        vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
+        vehicles, driver = planner_run(
+            rules, scenario, stock_road, ads, guard, decisions=decisions, body=body
+        )
         if is_native:
             driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
         # A reference driver takes over from an ego that repeats the decisions of the policy, at the policy's rate.
@@ -349,7 +377,9 @@ class SimulatorWorld(BaseWorld):
         try:
             with guard:
                 # The simulator starts with these vehicles. Its states then replace the model's states in each tick.
-                simulation = Simulation(self.simulators, self._on_road.frame, vehicles, scenario.seed, guard)
+                simulation = Simulation(
+                    self.simulators, self._on_road.frame, vehicles, scenario.seed, guard
+                )
                 vehicles.loop.simulation = simulation
         except BaseException:
             vehicles.close()
@@ -380,8 +410,15 @@ class SimulatorWorld(BaseWorld):
         given, stated = dict(data), ("lanes", "speed_limit", "physics_hz")
         own = {name: given.pop(name) for name in stated}
         if not isinstance(given["limits"], dict):
-            raise WorldError(field="world.data.limits", expected="a mapping", received=f"{given['limits']!r:.200}")
-        world = cls(partial(simulator, **given.pop("simulator")), **{**given, "limits": NpcLimits(**given["limits"])})
+            raise WorldError(
+                field="world.data.limits",
+                expected="a mapping",
+                received=f"{given['limits']!r:.200}",
+            )
+        world = cls(
+            partial(simulator, **given.pop("simulator")),
+            **{**given, "limits": NpcLimits(**given["limits"])},
+        )
         now = world.to_dict()
         for name in stated:
             if now[name] != own[name]:
@@ -437,7 +474,10 @@ def _check_statements(simulator: Any) -> _Stated:
         WorldError: if a value cannot be used. The message names the attribute.
     """
     if not isinstance(simulator, Simulator):
-        expected, received = "a callable that creates a pafot.Simulator", f"one that returned {simulator!r:.200}"
+        expected, received = (
+            "a callable that creates a pafot.Simulator",
+            f"one that returned {simulator!r:.200}",
+        )
         raise WorldError(field="simulator", expected=expected, received=received)
     name = type(simulator).__name__
     _check_names(type(simulator))
@@ -448,37 +488,60 @@ def _check_statements(simulator: Any) -> _Stated:
     def is_on(field: str) -> bool:
         value = getattr(simulator, field)
         if not isinstance(value, bool):
-            raise WorldError(field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}")
+            raise WorldError(
+                field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}"
+            )
         return value
 
     def in_si(field: str, low: float, high: float, unit: str) -> float | None:
         value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
         why = f" if {name}.{unit} is {of:.6g}"
-        return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
+        return (
+            None
+            if value is None
+            else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
+        )
 
     def several(field: str, of: str) -> Sequence[Any]:
         # The letters of a string would count as entries, so a string is not accepted.
         value = getattr(simulator, field)
         if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
             return list(value)
-        raise WorldError(field=f"{name}.{field}", expected=f"a list or tuple of {of}", received=f"{value!r:.100}")
+        raise WorldError(
+            field=f"{name}.{field}", expected=f"a list or tuple of {of}", received=f"{value!r:.100}"
+        )
 
     for stated, known in (("headings", get_args(Headings)), ("reference", get_args(Reference))):
         if getattr(simulator, stated) not in known:
-            expected, received = f"one of {', '.join(map(repr, known))}", f"{getattr(simulator, stated)!r:.100}"
+            expected, received = (
+                f"one of {', '.join(map(repr, known))}",
+                f"{getattr(simulator, stated)!r:.100}",
+            )
             raise WorldError(field=f"{name}.{stated}", expected=expected, received=received)
     offset, reference = simulator.rear_axle_offset, simulator.reference
     if (offset is None) is (reference == "rear axle"):
         expected = "the distance [m] from a vehicle's centre back to its rear axle, because reference = 'rear axle'"
         fix = "write, for example, rear_axle_offset = 1.4"
         if offset is not None:
-            expected, fix = f"None, because reference = {reference!r}", "remove it, or set reference = 'rear axle'"
-        raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
+            expected, fix = (
+                f"None, because reference = {reference!r}",
+                "remove it, or set reference = 'rear axle'",
+            )
+        raise WorldError(
+            field=f"{name}.rear_axle_offset",
+            expected=expected,
+            received=f"{offset!r:.100}",
+            fix=fix,
+        )
     if offset is not None:
         offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " metres")
     for each in several("packages", "package names"):
         if not isinstance(each, str):
-            raise WorldError(field=f"{name}.packages", expected="package names, as strings", received=f"{each!r:.100}")
+            raise WorldError(
+                field=f"{name}.packages",
+                expected="package names, as strings",
+                received=f"{each!r:.100}",
+            )
     # The data of a file must be JSON-compatible.
     data = plain_data(f"{name}.to_dict()", simulator.to_dict())
     if not isinstance(data, dict):
@@ -490,7 +553,12 @@ def _check_statements(simulator: Any) -> _Stated:
         raise WorldError(str(error)) from None
     if is_on("native") and type(simulator).observe is Simulator.observe:
         fix = "write a method that returns the policy's input"
-        raise WorldError(field=f"{name}.observe", expected="a method, because native is True", received="none", fix=fix)
+        raise WorldError(
+            field=f"{name}.observe",
+            expected="a method, because native is True",
+            received="none",
+            fix=fix,
+        )
     found = _Stated(
         maker=type(simulator),
         metres=metres,
@@ -509,7 +577,10 @@ def _check_statements(simulator: Any) -> _Stated:
         start_at=in_si("start_at", 0.0, 1e6, "metres"),
         moves_ego_only=is_on("moves_ego_only"),
         native=is_on("native"),
-        obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
+        obstacles=[
+            _obstacle(f"{name}.obstacles[{n}]", each)
+            for n, each in enumerate(several("obstacles", "objects"))
+        ],
         data=data,
     )
     # The number of lanes, or their centre lines.
@@ -534,17 +605,25 @@ def _hz(simulator: Simulator, name: str) -> float:
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
         fix = "set either dt or hz, or rename dt to _dt if it is your own attribute"
-        raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
+        raise WorldError(
+            field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix
+        )
     return whole_if_possible(hz)
 
 
 def _check_names(cls: type[Simulator]) -> None:
     """Reject an unused attribute with a name that looks like a misspelling."""
-    classes = [each for each in cls.__mro__[:-1] if each is not Simulator and each.__module__ in sys.modules]
+    classes = [
+        each
+        for each in cls.__mro__[:-1]
+        if each is not Simulator and each.__module__ in sys.modules
+    ]
     stated = [
         name
         for each in classes
-        if issubclass(each, Simulator)  # attributes of other classes, such as a mixin, may have any name
+        if issubclass(
+            each, Simulator
+        )  # attributes of other classes, such as a mixin, may have any name
         for name, value in vars(each).items()
         if not name.startswith("_")
         and not hasattr(Simulator, name)
@@ -557,10 +636,17 @@ def _check_names(cls: type[Simulator]) -> None:
             else difflib.get_close_matches(name, Simulator.__annotations__, n=1, cutoff=0.8)
         )
         try:
-            sources = {inspect.getsource(sys.modules[each.__module__]) for each in classes} if near else set()
+            sources = (
+                {inspect.getsource(sys.modules[each.__module__]) for each in classes}
+                if near
+                else set()
+            )
         except (OSError, TypeError):  # typed interactively, or compiled
             continue
-        if near and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1:
+        if (
+            near
+            and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1
+        ):
             raise WorldError(
                 field=f"{cls.__name__}.{name}",
                 expected="an attribute of pafot.Simulator",
@@ -582,13 +668,17 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     if steps.min() < 1e-3:
         number = int(steps.argmin())
         expected = "a point that is at least 1 mm from the previous point"
-        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="a closer point")
+        raise WorldError(
+            field=f"{place}[{number + 1}]", expected=expected, received="a closer point"
+        )
     return line
 
 
 def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
     values = tuple(given) if isinstance(given, (tuple, list)) else ()
-    if len(values) != 5 or not all(isinstance(each, (int, float)) and math.isfinite(each) for each in values):
+    if len(values) != 5 or not all(
+        isinstance(each, (int, float)) and math.isfinite(each) for each in values
+    ):
         expected = "five numbers: the x, y, heading, length and width of a fixed object"
         raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
     x, y, heading, length, width = map(float, values)

@@ -18,7 +18,13 @@ def _evaluation(scenario=None, **fields):
     scenario = scenario or Scenario(npcs=((PositionInstruction(4, 10.0),),))
     known = dict.fromkeys(("scenario", "executed"), scenario)
     known |= dict.fromkeys(("genes_started", "genes_reached"), sum(map(len, scenario.npcs)))
-    known |= {"fitness": 0.0, "failing": False, "outcome": Outcome.COMPLETED, "duration": 60.0, "interaction": True}
+    known |= {
+        "fitness": 0.0,
+        "failing": False,
+        "outcome": Outcome.COMPLETED,
+        "duration": 60.0,
+        "interaction": True,
+    }
     return Evaluation(**(known | fields))
 
 
@@ -61,7 +67,9 @@ def assert_rate():
     """Refuse a count that has a probability below 1e-4 in the rate's binomial distribution."""
 
     def check(successes, trials, rate):
-        assert _binomial_tail(successes, trials, rate) > 0.5e-4, f"{successes} of {trials} is not a rate of {rate}"
+        assert _binomial_tail(successes, trials, rate) > 0.5e-4, (
+            f"{successes} of {trials} is not a rate of {rate}"
+        )
 
     return check
 
@@ -85,9 +93,14 @@ class CheapWorld:
         driven, crashed = self._drive(scenario)
         depth = len(driven[0])
         executed = Scenario.repaired(
-            [own + chain[depth:] for own, chain in zip(driven, scenario.npcs, strict=True)], seed=scenario.seed
+            [own + chain[depth:] for own, chain in zip(driven, scenario.npcs, strict=True)],
+            seed=scenario.seed,
         )
-        risk = sum(1 / (1 + ring_distance(gene.cell, Cell.FRONT)) + gene.speed / 100 for own in driven for gene in own)
+        risk = sum(
+            1 / (1 + ring_distance(gene.cell, Cell.FRONT)) + gene.speed / 100
+            for own in driven
+            for gene in own
+        )
         return _evaluation(
             scenario,
             executed=executed,
@@ -113,7 +126,9 @@ class CheapWorld:
                 (*own, PositionInstruction(cell, chain[gene].speed))
                 for own, cell, chain in zip(driven, cells, scenario.npcs, strict=True)
             )
-            if any(own[-1].cell is Cell.FRONT and own[-1].speed > self.crash_speed for own in driven):
+            if any(
+                own[-1].cell is Cell.FRONT and own[-1].speed > self.crash_speed for own in driven
+            ):
                 return driven, True
         return driven, False
 

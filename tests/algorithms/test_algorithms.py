@@ -35,7 +35,9 @@ class Own(GenerationalSearch):
         return GenerationState()
 
     def propose(self, state, rng):
-        return state, [sample(self.space, rng) for _ in range(self.population if state.generation else 0)]
+        return state, [
+            sample(self.space, rng) for _ in range(self.population if state.generation else 0)
+        ]
 
 
 class Structural:
@@ -80,7 +82,11 @@ def test_custom_algorithm_is_a_class_or_its_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE) == Own(SPACE)
     assert resolve_algorithm("tests.algorithms.test_algorithms:Own") == of_class
-    assert (of_class.name, of_class.fitness, of_class.instructions) == ("own", "default", ("cells", "lanes", "both"))
+    assert (of_class.name, of_class.fitness, of_class.instructions) == (
+        "own",
+        "default",
+        ("cells", "lanes", "both"),
+    )
 
 
 def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
@@ -92,7 +98,10 @@ def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
 @pytest.mark.parametrize("algorithm", [Own, Structural])
 def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
     events = [
-        list(run_plan(resolve_algorithm(algorithm).make(SPACE), cheap_world(), generations=4, seed=1)) for _ in range(2)
+        list(
+            run_plan(resolve_algorithm(algorithm).make(SPACE), cheap_world(), generations=4, seed=1)
+        )
+        for _ in range(2)
     ]
     assert events[0] == events[1]
     assert events[0][0].algorithm == algorithm.name
@@ -100,7 +109,9 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
     assert sizes == [0 if algorithm is Own else 4, 4, 4, 4]
 
 
-@pytest.mark.parametrize("search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name)
+@pytest.mark.parametrize(
+    "search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name
+)
 def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evaluation):
     rng = np.random.default_rng(0)
     with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
@@ -108,14 +119,18 @@ def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evalua
     state, asked = search.ask(search.start(rng), rng)
     for scenarios in (asked, ()):
         with pytest.raises(
-            RuntimeError, match=f"ask: expected a call to tell .*, which returned {len(scenarios)} scenarios"
+            RuntimeError,
+            match=f"ask: expected a call to tell .*, which returned {len(scenarios)} scenarios",
         ):
             search.ask(replace(state, asked=scenarios), rng)
     evaluations = [make_evaluation(scenario) for scenario in asked]
-    with pytest.raises(ValueError, match="tell: expected 4 evaluations, one per scenario, but received 3"):
+    with pytest.raises(
+        ValueError, match="tell: expected 4 evaluations, one per scenario, but received 3"
+    ):
         search.tell(state, evaluations[:3], rng)
     with pytest.raises(
-        ValueError, match=r"at index 0, but received the evaluation of .*\. Pass the evaluations in the order"
+        ValueError,
+        match=r"at index 0, but received the evaluation of .*\. Pass the evaluations in the order",
     ):
         search.tell(state, evaluations[::-1], rng)
 
@@ -173,12 +188,16 @@ def test_a_new_best_is_reported_once(make_evaluation):
     state, kinds = search.start(rng), []
     for fitness in (1.0, 1.0, 2.0, float("nan")):
         state, asked = search.ask(state, rng)
-        state, events = search.tell(state, [make_evaluation(s, fitness=fitness) for s in asked], rng)
+        state, events = search.tell(
+            state, [make_evaluation(s, fitness=fitness) for s in asked], rng
+        )
         kinds.append([type(event) for event in events])
     news = [GenerationFinished, NewBest]
     assert kinds == [news, [GenerationFinished], news, [GenerationFinished]]
 
 
 def test_an_empty_population_is_refused():
-    with pytest.raises(ValueError, match="population: expected a whole number from 1 to 10000, but received 0"):
+    with pytest.raises(
+        ValueError, match="population: expected a whole number from 1 to 10000, but received 0"
+    ):
         Fresh(population=0)

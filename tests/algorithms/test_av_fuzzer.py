@@ -53,7 +53,10 @@ def scenarios(count, seed=0):
 def one(text, **fields):
     """Return a scenario from texts such as "left@22 keep@3"."""
     pairs = [[gene.split("@") for gene in chain.split()] for chain in text.split("; ")]
-    return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
+    return Scenario(
+        npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs],
+        **fields,
+    )
 
 
 def all_speeds(scenario):
@@ -113,7 +116,9 @@ class TestOperators:
                 kinds["speed" if before.speed != after.speed else "lane"] += 1
                 places[npc, gene] += 1
         assert_rate(kinds["speed"], DRAWS, 1 / 3 * 268 / 269)
-        assert_rate(kinds["lane"], DRAWS, 1 / 3 * 2 / 3)  # a sampled action equals the old one in a third of the cases
+        assert_rate(
+            kinds["lane"], DRAWS, 1 / 3 * 2 / 3
+        )  # a sampled action equals the old one in a third of the cases
         assert len(places) == 10
 
 
@@ -121,31 +126,48 @@ class TestRoulette:
     def test_members_are_drawn_in_proportion_to_their_fitness(self, make_evaluation, assert_rate):
         weights = zip(scenarios(3), (1.0, 3.0, 6.0), strict=True)
         population = [make_evaluation(each, fitness=weight) for each, weight in weights]
-        drawn = Counter(member.fitness for seed in range(1000) for member in roulette(population, rng(seed)))
+        drawn = Counter(
+            member.fitness for seed in range(1000) for member in roulette(population, rng(seed))
+        )
         for weight in (1.0, 3.0, 6.0):
             assert_rate(drawn[weight], DRAWS, weight / 10)
 
-    def test_roulette_shifts_worst_negative_fitness_to_zero_weight(self, make_evaluation, assert_rate):
-        population = [make_evaluation(each, fitness=f) for each, f in zip(scenarios(3), (-4.0, -1.0, 5.0), strict=True)]
-        drawn = Counter(member.fitness for seed in range(1000) for member in roulette(population, rng(seed)))
+    def test_roulette_shifts_worst_negative_fitness_to_zero_weight(
+        self, make_evaluation, assert_rate
+    ):
+        population = [
+            make_evaluation(each, fitness=f)
+            for each, f in zip(scenarios(3), (-4.0, -1.0, 5.0), strict=True)
+        ]
+        drawn = Counter(
+            member.fitness for seed in range(1000) for member in roulette(population, rng(seed))
+        )
         assert drawn[-4.0] == 0
         assert_rate(drawn[-1.0], DRAWS, 3 / 12)
 
     def test_roulette_never_draws_ineligible_runs_among_eligible(self, make_evaluation):
         good, crash = scenarios(2)
-        population = [make_evaluation(good, fitness=1.0), make_evaluation(crash, fitness=9.0, outcome=Outcome.INVALID)]
+        population = [
+            make_evaluation(good, fitness=1.0),
+            make_evaluation(crash, fitness=9.0, outcome=Outcome.INVALID),
+        ]
         assert {member.scenario for member in roulette(population, rng())} == {good}
 
     def test_where_none_is_eligible_all_are_equal(self, make_evaluation):
         population = [make_evaluation(each, fitness=math.nan) for each in scenarios(4)]
-        drawn = Counter(member.scenario for seed in range(200) for member in roulette(population, rng(seed)))
+        drawn = Counter(
+            member.scenario for seed in range(200) for member in roulette(population, rng(seed))
+        )
         assert len(drawn) == 4
 
 
 class TestDistance:
     def test_features_add_up_speeds_and_lane_changes(self):
         given = one("left@10 keep@5 right@1; right@2 right@3 keep@4")
-        assert features(given).tolist() == [[[10, -34], [15, -34], [16, 0]], [[2, 34], [5, 68], [9, 68]]]
+        assert features(given).tolist() == [
+            [[10, -34], [15, -34], [16, 0]],
+            [[2, 34], [5, 68], [9, 68]],
+        ]
 
     def test_distance_is_euclidean_per_slice_averaged_over_npcs(self):
         a, b = one("left@10 keep@5; keep@1 keep@1"), one("keep@10 keep@5; keep@4 keep@5")
@@ -161,8 +183,14 @@ class TestDistance:
     def test_farthest_candidates_have_greatest_mean_distance_to_checkpoints(self):
         before, candidates = scenarios(6, seed=1), scenarios(50, seed=2)
         checkpoints = np.stack([features(each) for each in before])
-        means = {each: np.mean([distance(features(each), features(old)) for old in before]) for each in candidates}
-        assert list(farthest(candidates, checkpoints, 4)) == sorted(candidates, key=lambda each: -means[each])[:4]
+        means = {
+            each: np.mean([distance(features(each), features(old)) for old in before])
+            for each in candidates
+        }
+        assert (
+            list(farthest(candidates, checkpoints, 4))
+            == sorted(candidates, key=lambda each: -means[each])[:4]
+        )
 
 
 class TestCourse:
@@ -178,7 +206,12 @@ class TestCourse:
     def test_generation_without_any_change_still_counts(self, landscape):
         search = AvFuzzerSearch(crossover_rate=0.0, mutation_rate=0.0)
         events = list(run_plan(search, landscape(lambda each: 1.0), generations=4, seed=1))
-        assert [event.generation for event in events if isinstance(event, GenerationFinished)] == [0, 1, 2, 3]
+        assert [event.generation for event in events if isinstance(event, GenerationFinished)] == [
+            0,
+            1,
+            2,
+            3,
+        ]
         assert sum(isinstance(event, Evaluated) for event in events) == 4
 
     def test_best_of_all_generations_may_die_out(self, landscape):
@@ -199,7 +232,9 @@ class TestCourse:
         restarts = [event.generation for event in events if isinstance(event, Restarted)]
         assert restarts == [6, 12]
         asked = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
-        fresh = [e.evaluation.scenario for e in events if isinstance(e, Evaluated) and e.generation == 6]
+        fresh = [
+            e.evaluation.scenario for e in events if isinstance(e, Evaluated) and e.generation == 6
+        ]
         assert len(fresh) == 4
         before = np.stack([features(each) for each in asked[: asked.index(fresh[0])]])
         spread = [np.mean(distance(features(each), before)) for each in fresh]
@@ -225,7 +260,11 @@ class TestCourse:
         start = next(event for event in events if isinstance(event, LocalSearchStarted))
         assert start.generation > 2
         generations = [event for event in events if isinstance(event, GenerationFinished)]
-        finished = [each for each in generations if each.generation == start.generation and each.local_generation]
+        finished = [
+            each
+            for each in generations
+            if each.generation == start.generation and each.local_generation
+        ]
         assert [event.local_generation for event in finished] == [1, 2, 3, 4, 5, 6]
         for member in finished[0].population:
             pairs = zip(start.incumbent.scenario.npcs, member.scenario.npcs, strict=True)
@@ -243,7 +282,11 @@ class TestCourse:
                 before = state.population
                 state, asked = search.ask(state, generator)
                 state, events = search.tell(state, list(map(evaluate, asked)), generator)
-                ends = [event for event in events if isinstance(event, LocalSearchFinished) and event.replaced]
+                ends = [
+                    event
+                    for event in events
+                    if isinstance(event, LocalSearchFinished) and event.replaced
+                ]
                 for end in ends:
                     place = max(range(4), key=lambda index: before[index].fitness)
                     assert state.population == (*before[:place], end.best, *before[place + 1 :])
@@ -319,10 +362,14 @@ def released(trace):
 @table("seed", range(60))
 def test_fitness_is_the_released_formula_on_any_trace(seed):
     rng = np.random.default_rng(seed)
-    states = random_states(rng, rows=int(rng.integers(1, 40)), vehicles=int(rng.integers(2, 5)), spread=18.0)
+    states = random_states(
+        rng, rows=int(rng.integers(1, 40)), vehicles=int(rng.integers(2, 5)), spread=18.0
+    )
     states[..., 2] = rng.uniform(-0.05, 0.05, states.shape[:2])
     states[..., 1] /= 4
-    trace = trace_of(*np.moveaxis(states, 1, 0), outcome=Outcome.COLLISION if seed % 2 else Outcome.COMPLETED)
+    trace = trace_of(
+        *np.moveaxis(states, 1, 0), outcome=Outcome.COLLISION if seed % 2 else Outcome.COMPLETED
+    )
     assert av_fuzzer(trace) == pytest.approx(released(trace), abs=1e-9)
 
 
@@ -341,14 +388,18 @@ def test_a_turned_road_makes_no_difference_to_the_fitness():
 
     cars = [(0.0, 0.0, 20.0), (12.0, 1.0, 9.0), (-9.0, 0.5, 20.0)]
     straight = trace_of(*(vehicle(x, y, speed=speed) for x, y, speed in cars))
-    other = trace_of(*(turned(x, y, speed=speed) for x, y, speed in cars), lanes=straight_lanes(heading=heading))
+    other = trace_of(
+        *(turned(x, y, speed=speed) for x, y, speed in cars), lanes=straight_lanes(heading=heading)
+    )
     assert av_fuzzer(other) == pytest.approx(av_fuzzer(straight))
 
 
 def test_only_a_collision_counts_between_two_samples():
     passing = np.array([40.0, 40.0, 6.0, 40.0, 40.0])
     unseen = trace_of(vehicle(0.0, ticks=4), vehicle(passing), vehicle(500.0, 8.0))
-    seen = trace_of(vehicle(0.0, ticks=2), vehicle(passing[:3]), vehicle(500.0, 8.0), outcome=Outcome.COLLISION)
+    seen = trace_of(
+        vehicle(0.0, ticks=2), vehicle(passing[:3]), vehicle(500.0, 8.0), outcome=Outcome.COLLISION
+    )
     assert av_fuzzer(unseen) == pytest.approx(130 - 20 - 65)
     assert av_fuzzer(seen) > av_fuzzer(unseen)
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from pytest_pafot.algorithms.evaluation import Evaluation, has_interaction
-from pytest_pafot.algorithms.fitness import FITNESSES, Steered, before_impact, default_fitness, resolve
+from pytest_pafot.algorithms.fitness import (
+    FITNESSES,
+    Steered,
+    before_impact,
+    default_fitness,
+    resolve,
+)
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
@@ -34,7 +40,9 @@ def test_smaller_time_between_entries_is_always_worse():
 
 
 def test_npc_that_enters_first_counts_as_much():
-    after, before = ([default_fitness(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1))
+    after, before = (
+        [default_fitness(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1)
+    )
     assert after[0] > after[1]
     assert before[0] > before[1]
 
@@ -65,7 +73,9 @@ def test_npc_caused_collision_is_rated_by_earlier_run():
     assert -1 <= Steered(fitness)(blamed_on("npc", trace)) <= 1
 
 
-@pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
+@pytest.mark.parametrize(
+    ("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)]
+)
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
     for run in (run_of(enters), run_of(20.0, enters)):
         assert has_interaction(run) is expected

@@ -25,7 +25,9 @@ from tests.helpers.tables import table
 
 JUNCTION = junction()
 TRAFFIC = CrossingTraffic(JUNCTION, 0.0, 10.0, 2)
-SPACE = SearchSpace(crossings=JUNCTION, most_npcs=(4,), genes=3, gene_seconds=4.0, speed_limit=10.0, ego_speed=10.0)
+SPACE = SearchSpace(
+    crossings=JUNCTION, most_npcs=(4,), genes=3, gene_seconds=4.0, speed_limit=10.0, ego_speed=10.0
+)
 seeds = st.integers(0, 2**32)
 spaces = st.builds(
     SearchSpace,
@@ -49,7 +51,9 @@ def told(scenario):
 
 def check(scenario, space):
     """Check everything that a search with a space promises about a scenario."""
-    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # this checks all scenario rules
+    assert scenario == Scenario.from_canonical(
+        json.loads(scenario.canonical())
+    )  # this checks all scenario rules
     assert not clashes(JUNCTION, scenario)
     assert len(scenario.npcs) - len(told(scenario)) <= space.most_on_grid
     assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)
@@ -78,7 +82,9 @@ def test_all_zones_acts_and_slots_are_drawn():
     rng = np.random.default_rng(0)
     scenarios = [sample(SPACE, rng) for _ in range(400)]
     instructions = [each for scenario in scenarios for each in told(scenario)]
-    assert len(instructions) / sum(len(each.npcs) for each in scenarios) == pytest.approx(0.75, abs=0.06)
+    assert len(instructions) / sum(len(each.npcs) for each in scenarios) == pytest.approx(
+        0.75, abs=0.06
+    )
     assert {each.zone for each in instructions} == set(JUNCTION.ways)
     assert Counter(each.act for each in instructions).keys() == {"pass", "hold", "stop"}
     assert len({each.interval for each in instructions}) == 5
@@ -89,7 +95,11 @@ def test_slots_are_rather_near_the_ego():
     rng = np.random.default_rng(0)
     slots = np.array([sample_slot(rng) for _ in range(4000)])
     assert np.abs(slots).max() <= 5
-    shares = [np.mean(np.abs(slots) <= 1), np.mean((np.abs(slots) > 1) & (np.abs(slots) <= 3)), np.mean(slots > 0)]
+    shares = [
+        np.mean(np.abs(slots) <= 1),
+        np.mean((np.abs(slots) > 1) & (np.abs(slots) <= 3)),
+        np.mean(slots > 0),
+    ]
     assert shares == pytest.approx([0.72, 0.2, 0.5], abs=0.03)
 
 
@@ -113,9 +123,17 @@ def test_later_of_two_clashing_npcs_is_redrawn(seed):
 def test_unresolvable_npc_comes_last_or_is_left_out(monkeypatch):
     monkeypatch.setattr(CrossingTraffic, "sample", lambda self, rng: crosses(speed=6.0))
     monkeypatch.setattr("pytest_pafot.algorithms.crossing_traffic.sample_slot", lambda rng: 0.5)
-    first, last, behind = crosses(speed=6.0), crosses(slot=5.0, speed=6.0), PositionInstruction(2, 8.0)
+    first, last, behind = (
+        crosses(speed=6.0),
+        crosses(slot=5.0, speed=6.0),
+        PositionInstruction(2, 8.0),
+    )
     npcs = ((first,), (crosses(speed=6.0, act="stop"),), (behind,), (crosses(speed=6.5),))
-    assert TRAFFIC.without_conflicts(npcs, np.random.default_rng(0)) == ((first,), (last,), (behind,))
+    assert TRAFFIC.without_conflicts(npcs, np.random.default_rng(0)) == (
+        (first,),
+        (last,),
+        (behind,),
+    )
 
 
 def test_npc_without_a_start_cell_crosses_instead():
@@ -128,7 +146,10 @@ def test_npc_without_a_start_cell_crosses_instead():
 def test_ways_without_possible_start_raise_clear_error():
     at_once = way_of("o1>o3", "crossing", "left", (88.0, 95.0), (0.0, 8.0))
     space = SearchSpace(crossings=junction(ways={"o1>o3": at_once}, meetings={}), most_on_grid=0)
-    with pytest.raises(ValueError, match=r"crossings: expected paths on which an NPC can start .*number of paths: 1"):
+    with pytest.raises(
+        ValueError,
+        match=r"crossings: expected paths on which an NPC can start .*number of paths: 1",
+    ):
         sample(space, np.random.default_rng(0))
 
 
@@ -141,13 +162,18 @@ def test_npcs_in_one_zone_swap_their_parts():
         assert {first.speed, second.speed} == {5.0, 8.0}
         assert {first.act, second.act} == {"hold", "pass"}
     one, other = Scenario(npcs=((a,),)), Scenario(npcs=((PositionInstruction(2, 8.0),) * 2,))
-    assert [each.npcs for each in crossover(one, other, np.random.default_rng(0))] == [other.npcs, one.npcs]
+    assert [each.npcs for each in crossover(one, other, np.random.default_rng(0))] == [
+        other.npcs,
+        one.npcs,
+    ]
 
 
 def test_every_part_of_an_instruction_varies():
     instruction, rng = crosses(), np.random.default_rng(0)
     new = [TRAFFIC.vary(instruction, rng) for _ in range(300)]
-    moved = [each.slot for each in new if (each.zone, each.speed, each.act) == ("o1>o3", 8.0, "pass")]
+    moved = [
+        each.slot for each in new if (each.zone, each.speed, each.act) == ("o1>o3", 8.0, "pass")
+    ]
     assert 0.4 < len(moved) / len(new) < 0.6
     assert np.abs(np.array(moved) - 0.5).mean() < 1.0
     assert new.count(instruction) < 10  # by chance, some other ones are equal
@@ -171,7 +197,11 @@ class Judged:
             scenario,
             fitness=draw[3] / 10,
             failing=draw[0] < 40,
-            outcome=Outcome.COLLISION if draw[0] < 80 else Outcome.INVALID if draw[0] < 90 else Outcome.COMPLETED,
+            outcome=Outcome.COLLISION
+            if draw[0] < 80
+            else Outcome.INVALID
+            if draw[0] < 90
+            else Outcome.COMPLETED,
             collision=hit if draw[0] < 80 else None,
             margins=(("a", draw[4] / 100 - 0.5), ("b", draw[5] / 50)),
         )
@@ -228,12 +258,18 @@ def test_random_search_handles_junctions():
 def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
     search = resolve_algorithm(name).make(SearchSpace())
     events = run_plan(search, Judged(make_evaluation), generations=3, seed=1)
-    assert not any(event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated))
+    assert not any(
+        event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated)
+    )
 
 
 def test_cached_run_matches_only_the_whole_crossing_instruction(make_evaluation):
-    runs = [Scenario(npcs=((each,),)) for each in (crosses(), crosses(slot=1.0), crosses(act="hold"))]
+    runs = [
+        Scenario(npcs=((each,),)) for each in (crosses(), crosses(slot=1.0), crosses(act="hold"))
+    ]
     cache = EvaluationCache(map(make_evaluation, runs))
-    assert [cache.recall(Scenario(npcs=run.npcs, seed=5)).scenario.npcs for run in runs] == [run.npcs for run in runs]
+    assert [cache.recall(Scenario(npcs=run.npcs, seed=5)).scenario.npcs for run in runs] == [
+        run.npcs for run in runs
+    ]
     assert cache.recall(Scenario(npcs=((crosses(speed=8.1),),))) is None
     assert cache.recall(Scenario(npcs=((crosses(zone="o1>o2"),),))) is None

@@ -24,7 +24,10 @@ def test_what_fails_outranks_what_is_fitter(make_evaluation):
 
 def test_among_equals_the_fitter_ranks_higher(make_evaluation):
     for failing in (False, True):
-        assert make_evaluation(failing=failing, fitness=0.2).rank > make_evaluation(failing=failing, fitness=0.1).rank
+        assert (
+            make_evaluation(failing=failing, fitness=0.2).rank
+            > make_evaluation(failing=failing, fitness=0.1).rank
+        )
 
 
 @table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": NAN}])
@@ -67,7 +70,9 @@ def test_all_genes_count_when_none_was_started(make_evaluation):
 
 def trace(ego_speed=20.0, **fields):
     """Return 10 s of an ego and an NPC 60 m ahead of it, which drives 20 m/s, both at constant speeds."""
-    vehicles = (vehicle(x, speed=speed, ticks=150) for x, speed in ((1000.0, ego_speed), (1060.0, 20.0)))
+    vehicles = (
+        vehicle(x, speed=speed, ticks=150) for x, speed in ((1000.0, ego_speed), (1060.0, 20.0))
+    )
     scenario = Scenario(npcs=((PositionInstruction(2, 20.0), PositionInstruction(2, 5.0)),))
     return trace_of(*vehicles, scenario=scenario, arrivals=((3, None),), **fields)
 
@@ -75,7 +80,11 @@ def trace(ego_speed=20.0, **fields):
 def test_an_evaluation_is_read_from_a_trace():
     evaluation = Evaluation.from_trace(trace(), fitness=0.5, failing=True)
     assert (evaluation.genes_started, evaluation.genes_reached, evaluation.duration) == (2, 1, 10.0)
-    assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.COMPLETED, True, 0.5)
+    assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (
+        Outcome.COMPLETED,
+        True,
+        0.5,
+    )
 
 
 @table(("fields", "by"), [
@@ -94,14 +103,27 @@ def test_an_evaluation_says_what_ended_its_run_early(fields, by):
 
 @table(("ahead", "is_close"), [(46.0, True), (47.0, False)])
 def test_a_vehicle_is_close_if_it_would_be_touched_within_two_seconds(ahead, is_close):
-    run = trace_of(vehicle(0.0, speed=20.0, ticks=1), vehicle(ahead, speed=0.0, ticks=1), ended="Goal._is_terminated")
+    run = trace_of(
+        vehicle(0.0, speed=20.0, ticks=1),
+        vehicle(ahead, speed=0.0, ticks=1),
+        ended="Goal._is_terminated",
+    )
     evaluation = Evaluation.from_trace(run, fitness=0.5, failing=False)
     assert math.isclose(evaluation.gap, ahead - 20 / 15 - 5)
     assert evaluation.is_close is is_close
 
 
 def test_a_collision_is_an_interaction():
-    crash = Collision(tick=9, time=0.6, npc=0, side="left", cell=8, ego_speed=1.0, npc_speed=1.0, closing_speed=0.1)
+    crash = Collision(
+        tick=9,
+        time=0.6,
+        npc=0,
+        side="left",
+        cell=8,
+        ego_speed=1.0,
+        npc_speed=1.0,
+        closing_speed=0.1,
+    )
     assert has_interaction(trace(outcome=Outcome.COLLISION, collision=crash))
 
 
@@ -109,7 +131,9 @@ def tick_by_tick(trace):
     """Return the same by a loop over all ticks and vehicles, with the limits of the docstring as numbers."""
     interacted = False
     for ego, *npcs in trace.states.tolist():
-        for (x, y, _, speed, _, _, lane), (length, _) in zip(npcs, trace.sizes.tolist()[1:], strict=True):
+        for (x, y, _, speed, _, _, lane), (length, _) in zip(
+            npcs, trace.sizes.tolist()[1:], strict=True
+        ):
             ahead = (x - ego[X]) * math.cos(ego[HEADING]) + (y - ego[Y]) * math.sin(ego[HEADING])
             gap = abs(ahead) - (trace.sizes[0, 0] + length) / 2
             follower = ego[SPEED] if ahead >= 0 else speed

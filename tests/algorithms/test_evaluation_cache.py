@@ -131,7 +131,9 @@ def test_lane_instructions_as_driven_are_known_with_any_seed(make_evaluation):
     """The seed neither places their NPCs nor repairs them; it may repair the cells of another NPC in the scenario."""
     lanes = LaneInstruction("left", 20.0), LaneInstruction("left", 20.0)
     asked = Scenario(npcs=(lanes, chain((8, 1.0), (8, 2.0))), seed=3)
-    driven = replace(asked, npcs=((lanes[0], LaneInstruction("keep", 20.0)), chain((1, 1.0), (1, 2.0))))
+    driven = replace(
+        asked, npcs=((lanes[0], LaneInstruction("keep", 20.0)), chain((1, 1.0), (1, 2.0)))
+    )
     memory = EvaluationCache([make_evaluation(asked, executed=driven)])
     assert memory.recall(asked) is not None
     assert memory.recall(replace(asked, seed=4)) is None
@@ -139,7 +141,11 @@ def test_lane_instructions_as_driven_are_known_with_any_seed(make_evaluation):
 
 
 def test_oldest_runs_are_forgotten_without_a_trace(cheap_world):
-    world, rng, space = cheap_world(crash_speed=12.0), np.random.default_rng(0), SearchSpace(npcs=2, genes=2)
+    world, rng, space = (
+        cheap_world(crash_speed=12.0),
+        np.random.default_rng(0),
+        SearchSpace(npcs=2, genes=2),
+    )
     runs = [world(sample(space, rng)) for _ in range(30)]
     memory = remembered(*runs)
     memory.forget(10)

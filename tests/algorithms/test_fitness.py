@@ -10,15 +10,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
-from pytest_pafot.algorithms.fitness import FitnessError, Steered, before_impact, default_fitness, paper, resolve, risks
+from pytest_pafot.algorithms.fitness import (
+    FitnessError,
+    Steered,
+    before_impact,
+    default_fitness,
+    paper,
+    resolve,
+    risks,
+)
 from pytest_pafot.attribution.responsibility import Attribution
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table
-from tests.helpers.traces import blamed_on, collision_at, random_states, scenario_of, trace_of, vehicle
+from tests.helpers.traces import (
+    blamed_on,
+    collision_at,
+    random_states,
+    scenario_of,
+    trace_of,
+    vehicle,
+)
 
 seeds = st.integers(0, 2**32 - 1)
-without_collision = st.sampled_from([Outcome.COMPLETED, Outcome.OFF_ROAD, Outcome.ADS_ERROR, Outcome.HANG])
+without_collision = st.sampled_from(
+    [Outcome.COMPLETED, Outcome.OFF_ROAD, Outcome.ADS_ERROR, Outcome.HANG]
+)
 
 
 def following(*, outcome=Outcome.COMPLETED, **fields):
@@ -39,13 +56,18 @@ def near_miss():
 
 def crash(*, outcome=Outcome.COLLISION, **fields):
     """Return a run in which the ego drives into a standing NPC after 6 s."""
-    return trace_of(vehicle(0, speed=20, ticks=90), vehicle(124, ticks=90), outcome=outcome, **fields)
+    return trace_of(
+        vehicle(0, speed=20, ticks=90), vehicle(124, ticks=90), outcome=outcome, **fields
+    )
 
 
 def rammed(**fields):
     """Return a run in which an NPC at 30 m/s rams the ego at 20 m/s from behind after 6 s, and nothing before."""
     return trace_of(
-        vehicle(0, speed=20, ticks=90), vehicle(-64, speed=30, ticks=90), outcome=Outcome.COLLISION, **fields
+        vehicle(0, speed=20, ticks=90),
+        vehicle(-64, speed=30, ticks=90),
+        outcome=Outcome.COLLISION,
+        **fields,
     )
 
 
@@ -74,7 +96,9 @@ class TestWeighted:
         assert default_fitness(random_trace(seed, outcome)) < default_fitness(rammed())
 
     def test_an_earlier_collision_is_worse(self):
-        late = trace_of(vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION)
+        late = trace_of(
+            vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION
+        )
         assert default_fitness(late) < default_fitness(crash())
 
     def test_only_a_collision_before_the_end_of_the_plan_has_a_risk_by_its_time(self):
@@ -127,7 +151,11 @@ class TestEveryNamedFitness:
 
 class TestResolve:
     def test_default_is_the_weighted_one(self):
-        assert resolve()(following()) == resolve("default")(following()) == default_fitness(following())
+        assert (
+            resolve()(following())
+            == resolve("default")(following())
+            == default_fitness(following())
+        )
 
     @table("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
     def test_a_function_may_return_any_real_number(self, value):
@@ -138,7 +166,10 @@ class TestResolve:
         assert resolve(criticality.hardest_brake)(following()) == 0
 
     def test_a_function_never_sees_an_invalid_run(self):
-        assert resolve(lambda trace: pytest.fail("called"))(crash(outcome=Outcome.INVALID)) == -math.inf
+        assert (
+            resolve(lambda trace: pytest.fail("called"))(crash(outcome=Outcome.INVALID))
+            == -math.inf
+        )
 
     def test_nan_of_a_function_is_last(self):
         assert resolve(lambda trace: math.nan)(following()) == -math.inf
@@ -148,33 +179,43 @@ class TestResolve:
         def odd(trace):
             return value
 
-        with pytest.raises(FitnessError, match=r"expected odd to return a number, but it returned .*\. Return a float"):
+        with pytest.raises(
+            FitnessError,
+            match=r"expected odd to return a number, but it returned .*\. Return a float",
+        ):
             resolve(odd)(following())
 
     def test_function_that_raises_is_explained_with_its_cause(self):
         def broken(trace):
             return 1 / 0
 
-        with pytest.raises(FitnessError, match=r"broken .* raised ZeroDivisionError: division by zero") as caught:
+        with pytest.raises(
+            FitnessError, match=r"broken .* raised ZeroDivisionError: division by zero"
+        ) as caught:
             resolve(broken)(following())
         assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
     def test_a_misspelt_name_is_answered_with_the_nearest(self):
         with pytest.raises(
-            FitnessError, match=r"expected 'default', 'paper', .* or a function .* Did you mean 'paper'"
+            FitnessError,
+            match=r"expected 'default', 'paper', .* or a function .* Did you mean 'paper'",
         ):
             resolve("papr")
 
     @table("value", [3, None, ["default"]])
     def test_anything_else_is_refused(self, value):
-        with pytest.raises(FitnessError, match=r"expected 'default', 'paper', .* or a function of a Trace"):
+        with pytest.raises(
+            FitnessError, match=r"expected 'default', 'paper', .* or a function of a Trace"
+        ):
             resolve(value)
 
     def test_function_of_two_arguments_is_refused_early(self):
         def two(trace, limit):
             return 0.0
 
-        with pytest.raises(FitnessError, match=r"called with one Trace, but received two\(trace, limit\).*defaults"):
+        with pytest.raises(
+            FitnessError, match=r"called with one Trace, but received two\(trace, limit\).*defaults"
+        ):
             resolve(two)
 
 
@@ -186,14 +227,20 @@ class TestMeasures:
         assert resolve("npcs.gap")(far) == pytest.approx(-35 / 36)
 
     def test_two_sided_measure_is_worse_far_from_zero(self):
-        brakes = trace_of(vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0])), vehicle(50))
+        brakes = trace_of(
+            vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0])), vehicle(50)
+        )
         assert resolve("ego.jerk")(brakes) == pytest.approx(15 / 16)
 
     def test_missing_values_rank_lowest_but_above_nan(self):
         alone = trace_of(vehicle(0, speed=10), vehicle(-20))
         unknown = trace_of(vehicle(0, speed=math.nan), vehicle(20))
         assert resolve("headway")(alone) == -1
-        assert resolve("headway")(unknown) == resolve("headway")(crash(outcome=Outcome.INVALID)) == -math.inf
+        assert (
+            resolve("headway")(unknown)
+            == resolve("headway")(crash(outcome=Outcome.INVALID))
+            == -math.inf
+        )
 
     def test_measure_without_a_worse_side_is_no_fitness(self):
         with pytest.raises(FitnessError, match=r"received 'ego\.lane'"):
@@ -211,10 +258,18 @@ def steered(fitness):
 
 
 REAR_END = collision_at(90, side="rear", ego_speed=20, npc_speed=30)
-FITNESSES = ["default", "paper", lambda trace: -trace.duration, lambda trace: 0.0, lambda trace: 1e300]
+FITNESSES = [
+    "default",
+    "paper",
+    lambda trace: -trace.duration,
+    lambda trace: 0.0,
+    lambda trace: 1e300,
+]
 
 
-@pytest.mark.parametrize("fitness", FITNESSES, ids=["default", "paper", "quick", "constant", "huge"])
+@pytest.mark.parametrize(
+    "fitness", FITNESSES, ids=["default", "paper", "quick", "constant", "huge"]
+)
 class TestSteered:
     def rank(self, fitness):
         return steered(resolve(fitness))
@@ -233,14 +288,18 @@ class TestSteered:
     def test_keeps_the_order_among_runs_without_collision(self, fitness, seed):
         runs = [random_trace(seed + i, Outcome.COMPLETED) for i in range(3)]
         plain, rank = resolve(fitness), self.rank(fitness)
-        assert sorted(runs, key=lambda run: (plain(run), id(run))) == sorted(runs, key=lambda run: (rank(run), id(run)))
+        assert sorted(runs, key=lambda run: (plain(run), id(run))) == sorted(
+            runs, key=lambda run: (rank(run), id(run))
+        )
 
     def test_invalid_runs_stay_last(self, fitness):
         assert self.rank(fitness)(crash(outcome=Outcome.INVALID)) == -math.inf
 
     def test_the_rule_is_asked_about_collisions_only(self, fitness, monkeypatch):
         asked, blamed = [], Attribution(responsibility="ego", tick=None, time=None)
-        monkeypatch.setattr(Run, "attribution", property(lambda run: asked.append(run.outcome) or blamed))
+        monkeypatch.setattr(
+            Run, "attribution", property(lambda run: asked.append(run.outcome) or blamed)
+        )
         for trace in (harmless(), near_miss(), crash()):
             Steered(resolve(fitness))(Run(trace))
         assert asked == [Outcome.COLLISION]
@@ -260,8 +319,12 @@ class TestSteeredDefault:
     def test_near_miss_before_being_rammed_retains_its_rank(self):
         miss = near_miss()
         rammer = vehicle(-64, speed=30, ticks=90)
-        both = trace_of(miss.ego, miss.npcs[:, 0], rammer, outcome=Outcome.COLLISION, collision=REAR_END)
-        alone = trace_of(vehicle(0, speed=22, ticks=90), rammer, outcome=Outcome.COLLISION, collision=REAR_END)
+        both = trace_of(
+            miss.ego, miss.npcs[:, 0], rammer, outcome=Outcome.COLLISION, collision=REAR_END
+        )
+        alone = trace_of(
+            vehicle(0, speed=22, ticks=90), rammer, outcome=Outcome.COLLISION, collision=REAR_END
+        )
         assert self.rank(alone) < self.rank(miss) <= self.rank(both)
 
     def test_a_fitness_that_is_minus_infinity_stays_so(self):
@@ -275,7 +338,9 @@ class TestSteeredDefault:
 class TestBeforeImpact:
     def test_run_ends_three_seconds_before_the_collision(self):
         run = crash(
-            actions=tuple(range(30)), arrivals=((10, 60), (None, 44)), scenario=scenario_of(2, gene_seconds=2.0)
+            actions=tuple(range(30)),
+            arrivals=((10, 60), (None, 44)),
+            scenario=scenario_of(2, gene_seconds=2.0),
         )
         cut = before_impact(run)
         assert (cut.outcome, cut.collision, cut.duration) == (Outcome.COMPLETED, None, 3.0)
@@ -288,7 +353,9 @@ class TestBeforeImpact:
         assert cut.arrivals == ((10,),)
 
     def test_keeps_at_least_the_start(self):
-        run = trace_of(vehicle(0, speed=20, ticks=15), vehicle(24, ticks=15), outcome=Outcome.COLLISION)
+        run = trace_of(
+            vehicle(0, speed=20, ticks=15), vehicle(24, ticks=15), outcome=Outcome.COLLISION
+        )
         assert before_impact(run).ticks == 0
 
     @pytest.mark.parametrize(("tick", "outcome"), [(20, Outcome.OFF_ROAD), (80, Outcome.COMPLETED)])

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.algorithms import operators
-from pytest_pafot.algorithms.operators import VEHICLES, best_of, crossover, elites, improves, mutate, parents
+from pytest_pafot.algorithms.operators import (
+    VEHICLES,
+    best_of,
+    crossover,
+    elites,
+    improves,
+    mutate,
+    parents,
+)
 from pytest_pafot.algorithms.operators import tournament as binary_tournament
 from pytest_pafot.algorithms.space import OTHERS, SearchSpace, sample
 from pytest_pafot.model.instructions import PositionInstruction
@@ -33,13 +41,18 @@ def swapped(a, b, in_a, in_b):
 KINDS = st.sampled_from([("car", "truck"), ("car", "van", "truck", "motorcycle"), ("truck",)])
 
 
-@given(st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 3), vehicles=KINDS), seeds)
+@given(
+    st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 3), vehicles=KINDS), seeds
+)
 def test_a_child_has_the_vehicle_of_the_npc_that_it_gets(space, seed):
     rng = np.random.default_rng(seed)
     a, b = sample(space, rng), sample(space, rng)
 
     def pairs(scenario):
-        return {(chain[0].speed, kind) for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True)}
+        return {
+            (chain[0].speed, kind)
+            for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True)
+        }
 
     for child in crossover(a, b, rng):
         assert pairs(child) <= pairs(a) | pairs(b)
@@ -61,7 +74,9 @@ def test_without_other_vehicles_random_numbers_are_those_of_before():
     cars, as_usual = SearchSpace(vehicles="car", patterns=True), SearchSpace(patterns=True)
     one, other = np.random.default_rng(3), np.random.default_rng(3)
     for _ in range(5):
-        assert mutate(sample(cars, one), cars, one) == mutate(sample(as_usual, other), as_usual, other)
+        assert mutate(sample(cars, one), cars, one) == mutate(
+            sample(as_usual, other), as_usual, other
+        )
     assert one.bit_generator.state == other.bit_generator.state
     assert "vehicles" not in cars.plain
 
@@ -96,7 +111,11 @@ def test_mutation_changes_exactly_one_instruction(space, seed):
     scenario = sample(space, rng)
     chains, mutant = scenario.npcs, mutate(scenario, space, rng).npcs
     assert [len(chain) for chain in mutant] == [len(chain) for chain in chains]
-    pairs = [pair for before, after in zip(chains, mutant, strict=True) for pair in zip(before, after, strict=True)]
+    pairs = [
+        pair
+        for before, after in zip(chains, mutant, strict=True)
+        for pair in zip(before, after, strict=True)
+    ]
     assert sum(before != after for before, after in pairs) == 1
 
 
@@ -113,7 +132,9 @@ def test_mutation_takes_each_instruction_with_equal_chances(assert_rate):
         assert_rate(count, 1200, 1 / 6)
 
 
-@pytest.mark.parametrize("starts", [{}, {"ego_lanes": (0, 1, 2)}, {"ego_lanes": (1,), "ego_speeds": (22.0, 22.0)}])
+@pytest.mark.parametrize(
+    "starts", [{}, {"ego_lanes": (0, 1, 2)}, {"ego_lanes": (1,), "ego_speeds": (22.0, 22.0)}]
+)
 def test_third_of_mutations_is_a_pattern(starts, assert_rate, monkeypatch):
     monkeypatch.setattr(operators, "_with_pattern", lambda scenario, space, rng: None)
     rng = np.random.default_rng(4)
@@ -130,7 +151,10 @@ def test_mutation_changes_npc_count_and_gene_duration():
     assert {len(child.npcs) for child in children} == {1, 2, 3}
     shorter = [child for child in children if child.gene_seconds == 5.0]
     assert {child.genes for child in shorter} == {12}
-    assert all(speeds(child) == [[each for each in row for _ in "ab"] for row in speeds(scenario)] for child in shorter)
+    assert all(
+        speeds(child) == [[each for each in row for _ in "ab"] for row in speeds(scenario)]
+        for child in shorter
+    )
 
 
 def test_crossover_converts_chain_to_gene_duration_of_child():
@@ -139,7 +163,10 @@ def test_crossover_converts_chain_to_gene_duration_of_child():
     b = sample(SearchSpace(npcs=1, genes=12, gene_seconds=5.0), rng)
     first, second = crossover(a, b, rng)
     assert (first.gene_seconds, speeds(first)) == (10.0, [speeds(b)[0][1:6:2]])
-    assert (second.gene_seconds, speeds(second)) == (5.0, [[each for each in speeds(a)[0] for _ in "ab"]])
+    assert (second.gene_seconds, speeds(second)) == (
+        5.0,
+        [[each for each in speeds(a)[0] for _ in "ab"]],
+    )
 
 
 @table("speeds", [None, (22.0, 22.0)])
@@ -174,7 +201,10 @@ def test_variation_keeps_the_start_of_the_parent(seed):
     space = SearchSpace(ego_lane=2, ego_speed=19.0, gene_seconds=5.0)
     other = SearchSpace(ego_lane=0, ego_speed=11.0, gene_seconds=3.0)
     a, b = crossover(mutate(sample(space, rng), space, rng), sample(other, rng), rng)
-    assert [(s.ego_lane, s.ego_speed, s.gene_seconds) for s in (a, b)] == [(2, 19.0, 5.0), (0, 11.0, 3.0)]
+    assert [(s.ego_lane, s.ego_speed, s.gene_seconds) for s in (a, b)] == [
+        (2, 19.0, 5.0),
+        (0, 11.0, 3.0),
+    ]
 
 
 def test_tournament_win_rates_follow_rank_among_four(make_population, assert_rate):
@@ -200,7 +230,11 @@ def test_equal_members_are_still_two(make_evaluation):
     assert first is not second
 
 
-kinds = st.tuples(st.booleans(), st.floats(), st.sampled_from([Outcome.COMPLETED, Outcome.COLLISION, Outcome.INVALID]))
+kinds = st.tuples(
+    st.booleans(),
+    st.floats(),
+    st.sampled_from([Outcome.COMPLETED, Outcome.COLLISION, Outcome.INVALID]),
+)
 
 
 @given(st.lists(kinds, min_size=1, max_size=12), st.floats(0, 1))

@@ -56,8 +56,17 @@ def kinds(events):
 
 def test_the_defaults_are_the_papers_numbers():
     search = PafotSearch()
-    assert (search.population, search.crossover_rate, search.mutation_rate, search.elite_share) == (4, 0.5, 0.5, 0.25)
-    assert (search.local_generations, search.local_mutation_factor, search.restart_after) == (1, 1.5, 5)
+    assert (search.population, search.crossover_rate, search.mutation_rate, search.elite_share) == (
+        4,
+        0.5,
+        0.5,
+        0.25,
+    )
+    assert (search.local_generations, search.local_mutation_factor, search.restart_after) == (
+        1,
+        1.5,
+        5,
+    )
 
 
 def test_one_elite_of_four_survives_without_new_run(driver):
@@ -78,7 +87,9 @@ def test_every_generation_has_the_full_population(make_evaluation, size, seed):
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40), st.integers(0, 5), st.integers(1, 6))
-def test_local_searches_and_restarts_come_on_schedule(make_evaluation, improvements, local_after, restart_after):
+def test_local_searches_and_restarts_come_on_schedule(
+    make_evaluation, improvements, local_after, restart_after
+):
     search = PafotSearch(local_after=local_after, restart_after=restart_after)
     driver = Driver(make_evaluation, search)
     random_at = best_at = 0
@@ -201,12 +212,17 @@ def test_half_of_the_pairs_swap_npcs(make_population, assert_rate):
 
 
 @pytest.mark.parametrize(
-    ("rate", "local", "expected"), [(0.5, False, 0.5), (0.5, True, 0.75), (0.2, True, 0.3), (0.2, False, 0.2)]
+    ("rate", "local", "expected"),
+    [(0.5, False, 0.5), (0.5, True, 0.75), (0.2, True, 0.3), (0.2, False, 0.2)],
 )
-def test_children_mutate_at_the_rate_of_the_search(make_population, assert_rate, rate, local, expected):
+def test_children_mutate_at_the_rate_of_the_search(
+    make_population, assert_rate, rate, local, expected
+):
     population = make_population()
     search = PafotSearch(crossover_rate=0.0, mutation_rate=rate, breeding_attempts=0)
-    state = PafotState(population=population, local_population=population, local_generation=2 * local)
+    state = PafotState(
+        population=population, local_population=population, local_generation=2 * local
+    )
     seeds = {member.scenario.seed for member in population}
     children = [child for generation in bred(search, state, 200) for child in generation]
     assert_rate(sum(child.seed not in seeds for child in children), len(children), expected)
@@ -217,7 +233,9 @@ def test_the_local_mutation_rate_is_capped_at_1(make_population):
     search = PafotSearch(crossover_rate=0.0, mutation_rate=0.8)
     state = PafotState(local_population=population, local_generation=2)
     seeds = {member.scenario.seed for member in population}
-    assert all(child.seed not in seeds for generation in bred(search, state, 20) for child in generation)
+    assert all(
+        child.seed not in seeds for generation in bred(search, state, 20) for child in generation
+    )
 
 
 def test_a_local_search_never_swaps_npcs(make_population):
@@ -231,7 +249,9 @@ def test_a_local_search_never_swaps_npcs(make_population):
 @pytest.mark.parametrize("local", [False, True])
 def test_child_with_known_run_is_bred_again(make_population, local):
     crashed_early = tuple(replace(member, genes_started=2) for member in make_population())
-    state = PafotState(population=crashed_early, local_population=crashed_early, local_generation=2 * local)
+    state = PafotState(
+        population=crashed_early, local_population=crashed_early, local_generation=2 * local
+    )
     known = EvaluationCache(crashed_early)
     children = [child for generation in bred(PafotSearch(), state, 40) for child in generation]
     assert all(known.recall(child) is None for child in children)
@@ -248,7 +268,9 @@ def test_individuals_evolve_as_they_were_driven(make_evaluation):
 @table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True}])
 def test_ineligible_run_is_neither_best_nor_elite(make_evaluation, fields):
     driver = Driver(make_evaluation)
-    fitnesses = [float("nan") if fields.get("failing") else 9.0 + generation for generation in range(6)]
+    fitnesses = [
+        float("nan") if fields.get("failing") else 9.0 + generation for generation in range(6)
+    ]
     seen = []
     for fitness in fitnesses:
         (finished, *others) = driver.round(fitness, **fields)

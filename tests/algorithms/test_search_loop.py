@@ -35,7 +35,9 @@ def test_search_runs_the_given_generations_and_sums_up(cheap_world, algorithm):
     events = list(run_plan(algorithm, world, generations=12, seed=1))
     evaluated = of(Evaluated, events)
     assert events[0] == PlanStarted(algorithm=algorithm.name, generations=12, seed=1)
-    main = [event.generation for event in of(GenerationFinished, events) if not event.local_generation]
+    main = [
+        event.generation for event in of(GenerationFinished, events) if not event.local_generation
+    ]
     assert main == list(range(12))
     last = events[-1]
     assert (last.reason, last.generations) == ("generations", 12)
@@ -54,7 +56,9 @@ def test_events_do_not_depend_on_simulation_order(cheap_world, algorithm, seed):
         ahead.update({each: cheap_world()(each) for each in to_come})
 
     one_by_one = list(run_plan(algorithm, cheap_world(), generations=5, seed=seed))
-    assert one_by_one == list(run_plan(algorithm, ahead.pop, generations=5, seed=seed, foresee=simulate))
+    assert one_by_one == list(
+        run_plan(algorithm, ahead.pop, generations=5, seed=seed, foresee=simulate)
+    )
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
@@ -68,7 +72,9 @@ def test_scenarios_are_announced_in_the_order_of_their_evaluation(cheap_world, a
 
     def evaluate(scenario):
         evaluated.append(scenario)
-        while foreseen.pop(0) != scenario:  # Not evaluated, since an earlier run determined its result.
+        while (
+            foreseen.pop(0) != scenario
+        ):  # Not evaluated, since an earlier run determined its result.
             pass
         return world(scenario)
 
@@ -78,12 +84,16 @@ def test_scenarios_are_announced_in_the_order_of_their_evaluation(cheap_world, a
 
 
 def test_another_seed_is_another_search(cheap_world):
-    first, second = (list(run_plan(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2))
+    first, second = (
+        list(run_plan(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2)
+    )
     assert of(Evaluated, first) != of(Evaluated, second)
 
 
 def test_every_generation_has_its_own_draws():
-    draws = {rng_of(*key).integers(2**62) for key in ((1,), (1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))}
+    draws = {
+        rng_of(*key).integers(2**62) for key in ((1,), (1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))
+    }
     assert len(draws) == 5
     assert rng_of(1, 2, 3).integers(2**62) == rng_of(1, 2, 3).integers(2**62)
 
@@ -103,18 +113,31 @@ def longer(cheap_world):
 @pytest.mark.parametrize("runs", [1, 4, 6, 8, 21])
 def test_search_ends_after_run_limit_within_a_generation(cheap_world, longer, runs):
     world, foreseen = cheap_world(), []
-    plan = run_plan(PafotSearch(), world, generations=None, runs=runs, seed=1, foresee=foreseen.extend)
+    plan = run_plan(
+        PafotSearch(), world, generations=None, runs=runs, seed=1, foresee=foreseen.extend
+    )
     events = list(plan)
     assert len(world.simulated) == len(set(foreseen)) == events[-1].simulated == runs
     assert of(Evaluated, events) == of(Evaluated, longer)[: len(of(Evaluated, events))]
-    told = [each for event in of(GenerationFinished, events) for each in event.population[event.elites :]]
+    told = [
+        each
+        for event in of(GenerationFinished, events)
+        for each in event.population[event.elites :]
+    ]
     assert told == [event.evaluation for event in of(Evaluated, events)]
     assert events[-1].reason == "runs"
 
 
 def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
-    ends = [list(run_plan(Fresh(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)]
-    assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
+    ends = [
+        list(run_plan(Fresh(), cheap_world(), generations=2, runs=runs, seed=1))[-1]
+        for runs in (7, 8, 9)
+    ]
+    assert [(end.reason, end.simulated) for end in ends] == [
+        ("runs", 7),
+        ("generations", 8),
+        ("generations", 8),
+    ]
 
 
 @table("events_before", [0, 1, 2, 7, 30])
@@ -163,7 +186,10 @@ def test_invalid_runs_are_told_and_never_best(make_evaluation):
 
 def test_restart_without_following_generation_does_not_happen(make_evaluation):
     evaluate = constant(make_evaluation)
-    restarts = [len(of(Restarted, run_plan(PafotSearch(), evaluate, generations=n, seed=1))) for n in (6, 7, 13)]
+    restarts = [
+        len(of(Restarted, run_plan(PafotSearch(), evaluate, generations=n, seed=1)))
+        for n in (6, 7, 13)
+    ]
     assert restarts == [0, 1, 2]
 
 

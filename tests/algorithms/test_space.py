@@ -16,7 +16,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import STYLES
 from tests.helpers.tables import table
 
-spaces = st.builds(SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40))
+spaces = st.builds(
+    SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40)
+)
 seeds = st.integers(0, 2**32)
 
 
@@ -24,7 +26,9 @@ seeds = st.integers(0, 2**32)
 def test_a_sample_is_valid_and_of_the_space(space, seed):
     scenario = sample(space, np.random.default_rng(seed))
     assert [len(chain) for chain in scenario.npcs] == [space.genes] * space.npcs
-    assert all(0 <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
+    assert all(
+        0 <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain
+    )
     start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds)
     assert start == (space.ego_lane, space.ego_speed, space.gene_seconds)
 
@@ -50,15 +54,22 @@ def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, 
     scenario = sample(space, rng)
     for _ in range(mutations):
         scenario = mutate(scenario, space, rng)
-    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # which checks all of its rules
+    assert scenario == Scenario.from_canonical(
+        json.loads(scenario.canonical())
+    )  # which checks all of its rules
     assert scenario.traffic == space.traffic
     assert 1 <= len(scenario.npcs) <= space.most_on(scenario.ego_lane)
     assert scenario.gene_seconds in (space.gene_durations or (space.gene_seconds,))
     if not space.most_npcs:
         assert len(scenario.npcs) == space.npcs
-    assert {len(chain) for chain in scenario.npcs} <= {space.genes_of(scenario.gene_seconds), *some_genes(space)}
+    assert {len(chain) for chain in scenario.npcs} <= {
+        space.genes_of(scenario.gene_seconds),
+        *some_genes(space),
+    }
     least = STYLES[space.traffic].least_speed_share * space.speed_limit - 1e-6
-    assert all(least <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
+    assert all(
+        least <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain
+    )
     assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
     low, high = space.ego_speeds or (space.ego_speed, space.ego_speed)
     assert low <= scenario.ego_speed <= high
@@ -67,14 +78,22 @@ def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, 
 
 def some_genes(space):
     """Return possible numbers of genes in a changed chain: an NPC keeps its lane and speed after its last gene."""
-    return range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
+    return (
+        range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
+    )
 
 
 def test_wide_space_draws_all_npc_counts_durations_and_starts():
     rng = np.random.default_rng(6)
     space = SearchSpace(ego_lanes=(0, 1), most_npcs=(2, 3), gene_durations=(4.0, 7.0))
     drawn = [sample(space, rng) for _ in range(200)]
-    assert {(each.ego_lane, len(each.npcs)) for each in drawn} == {(0, 1), (0, 2), (1, 1), (1, 2), (1, 3)}
+    assert {(each.ego_lane, len(each.npcs)) for each in drawn} == {
+        (0, 1),
+        (0, 2),
+        (1, 1),
+        (1, 2),
+        (1, 3),
+    }
     assert {(each.gene_seconds, each.genes) for each in drawn} == {(4.0, 15), (7.0, 9)}
     space = SearchSpace(ego_lanes=(0, 2), ego_speeds=(12.0, 12.3))
     starts = {(each.ego_lane, each.ego_speed) for each in (sample(space, rng) for _ in range(200))}
@@ -116,7 +135,9 @@ def test_single_npc_holds_or_steps_aside_equally_often(assert_rate):
 
 def test_a_random_instruction_is_uniform_over_the_cells(assert_rate):
     rng = np.random.default_rng(5)
-    cells = [PositionInstruction(1, 0.0).varied(SearchSpace().choices, rng).cell for _ in range(3000)]
+    cells = [
+        PositionInstruction(1, 0.0).varied(SearchSpace().choices, rng).cell for _ in range(3000)
+    ]
     for cell in range(1, 9):
         assert_rate(cells.count(cell), 3000, 1 / 8)
 
@@ -125,7 +146,10 @@ def test_a_random_instruction_is_uniform_over_the_cells(assert_rate):
 def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_seed):
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes)
-    chains = [[PositionInstruction(1, 0.0).varied(space.choices, rng) for _ in range(genes)] for _ in range(npcs)]
+    chains = [
+        [PositionInstruction(1, 0.0).varied(space.choices, rng) for _ in range(genes)]
+        for _ in range(npcs)
+    ]
     assert repaired(chains, repair_seed, space) == Scenario.repaired(chains, seed=repair_seed)
 
 
@@ -150,8 +174,16 @@ def test_pattern_is_short_ring_path_with_a_source(pattern):
     assert "NHTSA" in pattern.source or "R157" in pattern.source
 
 
-@given(st.integers(1, 9), st.floats(0, 40), st.integers(0, 400), st.integers(0, 400), st.integers(0, 2**32))
-def test_chain_of_patterns_stays_on_ring_within_bounds(genes, ego_speed, one_step, other_step, seed):
+@given(
+    st.integers(1, 9),
+    st.floats(0, 40),
+    st.integers(0, 400),
+    st.integers(0, 400),
+    st.integers(0, 2**32),
+)
+def test_chain_of_patterns_stays_on_ring_within_bounds(
+    genes, ego_speed, one_step, other_step, seed
+):
     bounds = min(one_step, other_step), max(one_step, other_step)
     chain = chain_of_patterns(genes, ego_speed, bounds, np.random.default_rng(seed))
     assert len(chain) == genes

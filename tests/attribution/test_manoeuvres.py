@@ -28,7 +28,10 @@ def test_lane_change_counts_for_less_than_four_seconds(until, expected):
     assert manoeuvre_before(trace, 0, 150) == "lane-keeping"
 
 
-@table(("displacement", "expected"), [(0.9, "lane-keeping"), (-0.9, "lane-keeping"), (1.1, "lane-change")])
+@table(
+    ("displacement", "expected"),
+    [(0.9, "lane-keeping"), (-0.9, "lane-keeping"), (1.1, "lane-change")],
+)
 def test_swaying_inside_the_lane_is_no_lane_change(displacement, expected):
     assert manoeuvre_before(trace_of(STILL, sideways(displacement, until=150)), 1, 150) == expected
 
@@ -45,7 +48,10 @@ def collision(*instructions):
 
 
 def test_cut_in_and_braking_leader_are_distinguished():
-    leader, cut_in = (Expect.from_run(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
+    leader, cut_in = (
+        Expect.from_run(collision(*chain), COLLIDES)
+        for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0)))
+    )
     assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
     assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
     assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)

@@ -33,10 +33,14 @@ def in_bend(trace):
 def verdicts(every):
     """Return verdicts as lines, of which ``every`` third or all."""
     traces = {f"reading {read.number}": read.trace for read in load()[::every]}
-    traces |= {f"{name} in a bend": in_bend(trace) for name, trace in [*traces.items()][:: 6 // every]}
+    traces |= {
+        f"{name} in a bend": in_bend(trace) for name, trace in [*traces.items()][:: 6 // every]
+    }
     traces |= {f"junction {number}": random_collision(number) for number in range(0, 600, every)}
     found = [(name, rss_rule(trace)) for name, trace in traces.items()]
-    return [f"{name}: {each.responsibility} {each.fault} at tick {each.tick}\n" for name, each in found]
+    return [
+        f"{name}: {each.responsibility} {each.fault} at tick {each.tick}\n" for name, each in found
+    ]
 
 
 @pytest.mark.parametrize("every", mostly_oracle([1, 3], 3))
@@ -44,7 +48,9 @@ def test_readers_accept_all_verdicts_except_the_listed(every):
     reads = load()
     assert len(reads) == 1350
     read_again = reads[::every]
-    disputed = {read.number for read in read_again if not read.accepts(rss_rule(read.trace).responsibility)}
+    disputed = {
+        read.number for read in read_again if not read.accepts(rss_rule(read.trace).responsibility)
+    }
     assert disputed == NOT_DEFENDED & {read.number for read in read_again}
 
 

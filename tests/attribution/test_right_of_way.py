@@ -50,12 +50,17 @@ def test_contact_outside_zone_and_ways_blames_neither_vehicle():
     beyond = replace(ignored(), on_way=ignored().on_way + 100.0)  # the NPC is further along its way
     found = rss_rule(beyond)
     assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
-    assert found.sentences[0] == "The ego touched NPC 0 at 6.4 s, outside the zone where their paths cross."
+    assert (
+        found.sentences[0]
+        == "The ego touched NPC 0 at 6.4 s, outside the zone where their paths cross."
+    )
 
 
 def test_npc_off_the_way_does_not_change_verdict():
     alone = hit(
-        plan("west straight", 6, 12, (4.8, -7.0, 2.0)), plan("grid", 7.2, 12), others=[plan("south straight", 1, 8)]
+        plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
+        plan("grid", 7.2, 12),
+        others=[plan("south straight", 1, 8)],
     )
     gone = replace(alone, zones=(None, None))
     assert np.isnan(alone.track[:, 2, ALONG]).any()
@@ -71,7 +76,11 @@ def test_lane_rules_apply_from_where_npc_merged():
     assert verdict.fault == "leader-unanswered"
     assert verdict.tick > np.flatnonzero(off)[-1]
     later = rss_rule(longer(trace, 15))
-    assert (later.responsibility, later.fault, later.tick) == ("ego", "leader-unanswered", verdict.tick + 15)
+    assert (later.responsibility, later.fault, later.tick) == (
+        "ego",
+        "leader-unanswered",
+        verdict.tick + 15,
+    )
     assert later.time == pytest.approx(verdict.time + 1.0)
 
 
@@ -90,7 +99,9 @@ def test_verdict_without_priority_is_same_from_either_side():
 
 def test_ego_setting_off_into_merging_npc_is_responsible():
     """The NPC has been in the zone for 4.7 s, but is on the ego's way only in the last 0.2 s before the impact."""
-    trace = hit(plan("west straight", 8, 4, (7.0, -4.0, 0.5), (11.8, 4.0, 6.0)), plan("south right", 7, 0.8))
+    trace = hit(
+        plan("west straight", 8, 4, (7.0, -4.0, 0.5), (11.8, 4.0, 6.0)), plan("south right", 7, 0.8)
+    )
     assert np.isnan(trace.track[:-4, 1, ALONG]).all()
     assert judged(trace) == ("ego", "entered-taken-zone")
 
@@ -109,7 +120,9 @@ def test_ego_behind_an_npc_that_merged_slowly_could_slow_down(enters, speed):
 @table(("enters", "expected"), [(3.2, ("ego", "did-not-give-way")), (4.2, ("none", None))])
 def test_ego_must_stop_short_of_an_npc_that_has_visibly_stopped_in_the_zone(enters, expected):
     """Up to its last chance to stop, 1.2 s before the impact, the ego takes it that the second one drives on."""
-    trace = hit(plan("west straight", 6, 3), plan("north straight", enters, 6, (enters + 0.6, -6.0, 0.0)))
+    trace = hit(
+        plan("west straight", 6, 3), plan("north straight", enters, 6, (enters + 0.6, -6.0, 0.0))
+    )
     assert judged(trace) == expected
 
 
@@ -127,5 +140,8 @@ def test_mirrored_crossing_gets_the_same_verdict():
     states = trace.states.copy()
     states[..., [Y, 2]] *= -1
     mirrored = replace(trace, states=states, zones=(replace(trace.zones[0], origin="right"),))
-    verdicts = [(each.responsibility, each.fault, each.tick) for each in (rss_rule(trace), rss_rule(mirrored))]
+    verdicts = [
+        (each.responsibility, each.fault, each.tick)
+        for each in (rss_rule(trace), rss_rule(mirrored))
+    ]
     assert verdicts[0] == verdicts[1]

@@ -63,7 +63,10 @@ def test_an_impact_says_who_hit_whom_and_how_fast(npc, side, cell, whence, told)
     ],
 )
 def test_an_impact_says_who_came_from_behind_only_if_that_is_known(side, way, told):
-    assert impact(5.42, 0, side, Cell.FRONT if side == "front" else Cell.REAR, "", 8.19, way) == f"{told} {CLOSING}"
+    assert (
+        impact(5.42, 0, side, Cell.FRONT if side == "front" else Cell.REAR, "", 8.19, way)
+        == f"{told} {CLOSING}"
+    )
 
 
 @table(("responsibility", "told"), [
@@ -76,7 +79,10 @@ def test_who_is_responsible_is_followed_by_what_a_careful_driver_does(responsibi
     careful = "A careful driver who took control 1.25 s before the impact would have avoided it."
     assert responsible_sentence(responsibility, 2) == told
     assert responsible_sentence(responsibility, 2, 1.25) == f"{told} {careful}"
-    assert responsible_sentence("ego", None) == "The ego is responsible, because a fixed object does not move."
+    assert (
+        responsible_sentence("ego", None)
+        == "The ego is responsible, because a fixed object does not move."
+    )
 
 
 SLOWER = driven(105.0, speed=10.0)
@@ -100,7 +106,9 @@ def test_deeds_are_told_from_the_danger_on(brakes, told):
     npc, ego = found.sentences
     assert told in ego
     assert npc.startswith("At 5.3 s, NPC 0 was ")
-    assert npc.endswith(" ahead of the ego. It drove at 10.0 m/s.")  # that a vehicle ahead did not brake is no news
+    assert npc.endswith(
+        " ahead of the ego. It drove at 10.0 m/s."
+    )  # that a vehicle ahead did not brake is no news
 
 
 @table(("speed", "brakes", "told"), [
@@ -109,7 +117,12 @@ def test_deeds_are_told_from_the_danger_on(brakes, told):
     (0.0, [], r"The ego stood still from 3\.0 s on\."),
 ])  # fmt: skip
 def test_an_ego_that_drives_backwards_does_not_stand_still(speed, brakes, told):
-    trace = crash(driven(0.0, speed=speed, brakes=brakes), driven(-30.0, speed=5.0), side="rear", cell=Cell.REAR)
+    trace = crash(
+        driven(0.0, speed=speed, brakes=brakes),
+        driven(-30.0, speed=5.0),
+        side="rear",
+        cell=Cell.REAR,
+    )
     assert re.fullmatch(told, rss_rule(trace).sentences[-1])
 
 
@@ -131,13 +144,17 @@ def told_of(trace, sentence, vehicle, since):
     phases = [(*each[2:6], each[0] or each[6], each[1] or each[7]) for each in found]
     starts = [since if each[4] is None else round(float(each[4]) * HZ) for each in phases]
     assert len(starts) == len(re.findall("braked|slowed|sped up", deed))
-    assert deed.count(" s on") == sum(each[4] is not None for each in phases) + bool(PAUSE.search(deed))
+    assert deed.count(" s on") == sum(each[4] is not None for each in phases) + bool(
+        PAUSE.search(deed)
+    )
     assert starts == sorted(starts)
     assert len(phases) <= 3
     for phase, start, end in zip(phases, starts, [*starts[1:], trace.ticks], strict=False):
         part = speeds[max(start - since - 1, 0) : end - since + 1]
         change, hardest = part[-1] - part[0], -np.diff(part).min() * HZ
-        near = speeds[max(end - since - 1, 0) : end - since + 2]  # within a tick, since the time is rounded
+        near = speeds[
+            max(end - since - 1, 0) : end - since + 2
+        ]  # within a tick, since the time is rounded
         assert near.min() - 0.06 < float(phase[2]) < near.max() + 0.06
         assert phase[1] is None or float(phase[1]) == pytest.approx(speeds[0], abs=0.06)
         assert (phase[0] == "sped up") == (change > 0)
@@ -145,7 +162,9 @@ def told_of(trace, sentence, vehicle, since):
         assert phase[3] is None or float(phase[3]) == pytest.approx(hardest, abs=0.06)
         if phase[5] and trace.track is None:
             ahead = trace.states[start, 1, X] - trace.states[start, 0, X] - 5.0
-            assert float(phase[5]) == pytest.approx(ahead, abs=1.5)  # within the tick of the rounded time
+            assert float(phase[5]) == pytest.approx(
+                ahead, abs=1.5
+            )  # within the tick of the rounded time
     if kept := re.search(rf"drove at {NUMBER} m/s", deed):
         assert float(kept[1]) == pytest.approx(speeds[0], abs=0.21)
     if "stood still" in deed:
@@ -168,6 +187,9 @@ def test_each_sentence_is_a_fact(name):
     told_of(trace, ego, 0, since)
     told = [*found.sentences, *run.sentences[-1:]]
     assert 3 <= len(told) <= 5
-    assert all(text[0].isupper() and text.endswith(".") and text.isascii() and "nan" not in text for text in told)
+    assert all(
+        text[0].isupper() and text.endswith(".") and text.isascii() and "nan" not in text
+        for text in told
+    )
     assert not {"should", "would", "could", "avoids"} & set(" ".join(found.sentences).split())
     assert max(map(len, run.explain().splitlines())) <= LINE_LENGTH

@@ -19,19 +19,24 @@ ALL = [situation for group in SITUATIONS.values() for situation in group]
 @table("situation", ALL)
 def test_verdict_matches_the_one_an_expert_expects(situation):
     found = rss_rule(situation.trace())
-    assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.sentences
+    assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), (
+        found.sentences
+    )
 
 
 def reasons():
     """Return the verdict and the reason of every situation, one per line."""
     every = ((each, rss_rule(each.trace())) for each in ALL)
     return "".join(
-        f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {' '.join(it.sentences)}\n" for each, it in every
+        f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {' '.join(it.sentences)}\n"
+        for each, it in every
     )
 
 
 def test_reasons_of_all_situations_are_the_kept_ones():
-    assert reasons() == REASONS.read_text(encoding="utf-8"), "run: python -m tests.attribution.test_situations"
+    assert reasons() == REASONS.read_text(encoding="utf-8"), (
+        "run: python -m tests.attribution.test_situations"
+    )
 
 
 def test_picture_of_the_page_on_verdicts_is_up_to_date():
@@ -39,7 +44,9 @@ def test_picture_of_the_page_on_verdicts_is_up_to_date():
     spec = importlib.util.spec_from_file_location("verdict_picture", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.picture() == module.PICTURE.read_text(encoding="utf-8"), "run: python docs/tools/verdict_picture.py"
+    assert module.picture() == module.PICTURE.read_text(encoding="utf-8"), (
+        "run: python docs/tools/verdict_picture.py"
+    )
 
 
 if __name__ == "__main__":

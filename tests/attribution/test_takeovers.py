@@ -32,10 +32,17 @@ def crash(ticks=IMPACT):
 
 def taken(trace, ticks=IMPACT + AFTER + 2, hit=None, outcome=Outcome.COMPLETED, **at):
     """Return a run that begins like another one and lasts for some ticks, to a contact if there is one."""
-    states = np.concatenate([trace.states, np.repeat(trace.states[-1:], max(ticks - trace.ticks, 0), axis=0)])
+    states = np.concatenate(
+        [trace.states, np.repeat(trace.states[-1:], max(ticks - trace.ticks, 0), axis=0)]
+    )
     collision = None if hit is None else collision_at(hit, **at)
     outcome = outcome if hit is None else Outcome.COLLISION
-    return replace(trace, states=states[: (ticks if hit is None else hit) + 1], outcome=outcome, collision=collision)
+    return replace(
+        trace,
+        states=states[: (ticks if hit is None else hit) + 1],
+        outcome=outcome,
+        collision=collision,
+    )
 
 
 class Drives:
@@ -104,11 +111,18 @@ def test_an_unknown_end_leaves_a_later_number_and_forbids_to_say_that_none_avoid
     for number, clear in ((0.5, range(2, 5)), (None, ())):
         ticks = [IMPACT - round(each * 3.75) for each in clear]
         assert (
-            latest(crash(), Drives(lambda trace, tick, ticks=ticks: taken(trace) if tick in ticks else cut)) == number
+            latest(
+                crash(),
+                Drives(lambda trace, tick, ticks=ticks: taken(trace) if tick in ticks else cut),
+            )
+            == number
         )
 
 
-@table("more", [{"outcome": Outcome.COMPLETED, "collision": None}, {"collision": collision_at(60, npc=None)}])
+@table(
+    "more",
+    [{"outcome": Outcome.COMPLETED, "collision": None}, {"collision": collision_at(60, npc=None)}],
+)
 def test_without_a_collision_with_a_vehicle_nothing_is_driven(more):
     assert latest(replace(crash(), **more), Drives(lambda *_: pytest.fail("driven"))) is None
 
@@ -121,9 +135,13 @@ def test_drive_goes_on_for_four_seconds():
 
 
 def test_sentences_on_takeovers():
-    assert sentence(1.25) == "A careful driver who took control 1.25 s before the impact would have avoided it."
     assert (
-        sentence(0.0) == "A careful driver who took control in the last 3 s could not reliably have avoided the "
+        sentence(1.25)
+        == "A careful driver who took control 1.25 s before the impact would have avoided it."
+    )
+    assert (
+        sentence(0.0)
+        == "A careful driver who took control in the last 3 s could not reliably have avoided the "
         "collision."
     )
 
@@ -131,7 +149,9 @@ def test_sentences_on_takeovers():
 def constantly_driven(cell, speed, ego_speed):
     """Return the run of an ego that keeps its speed, with a vehicle that does so too after a while."""
     world = Highway(clearance=40.0)
-    scenario = Scenario(npcs=[[PositionInstruction(cell, speed)]], ego_speed=ego_speed, gene_seconds=30.0)
+    scenario = Scenario(
+        npcs=[[PositionInstruction(cell, speed)]], ego_speed=ego_speed, gene_seconds=30.0
+    )
     return world.run_of(world.rollout(scenario, lambda: lambda observation: (0.0, 0.0)))
 
 
@@ -145,7 +165,9 @@ def test_latest_takeover_on_a_highway_is_that_of_the_braking_distance(closing):
     assert run.trace.npcs[-30:, 0, SPEED] == pytest.approx(24.0 - closing, abs=0.02)
     found = latest(run.trace, run.take_over)
     assert found == math.ceil(closing / (2 * HARD_BRAKING) / 0.25) * 0.25
-    assert [drive(run.trace, found - later, run.take_over).collision is None for later in (0.0, 0.25)] == [True, False]
+    assert [
+        drive(run.trace, found - later, run.take_over).collision is None for later in (0.0, 0.25)
+    ] == [True, False]
 
 
 def test_who_keeps_the_lane_avoids_nobody_who_comes_from_behind():
@@ -156,7 +178,10 @@ def test_who_keeps_the_lane_avoids_nobody_who_comes_from_behind():
 
 def test_careful_human_keeps_braking_for_a_motorcycle_that_is_over_the_line_and_not_yet_in_its_way():
     """Its centre is nearer than half a lane, and its box is narrow."""
-    chain = [PositionInstruction(cell, speed) for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))]
+    chain = [
+        PositionInstruction(cell, speed)
+        for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))
+    ]
     scenario = Scenario(npcs=[chain], gene_seconds=4.0, vehicles=("motorcycle",))
     assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.COMPLETED
 
@@ -169,12 +194,16 @@ def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(second
     trace = TRACES["leader-stops-dead"]()
     found = decide_contested(attribute_collision(trace), seconds)
     assert found.responsibility == responsible
-    assert (found.fault, found.mistake) == (("leader-unanswered", "kept-no-distance") if seconds else (None, None))
+    assert (found.fault, found.mistake) == (
+        ("leader-unanswered", "kept-no-distance") if seconds else (None, None)
+    )
     assert found.takeover == seconds
 
 
 @pytest.mark.parametrize(("seconds", "responsible"), [(0.25, "both"), (0.0, "npc"), (None, "both")])
-def test_an_ego_shares_the_responsibility_with_an_npc_that_moved_in_only_if_there_was_time(seconds, responsible):
+def test_an_ego_shares_the_responsibility_with_an_npc_that_moved_in_only_if_there_was_time(
+    seconds, responsible
+):
     trace = TRACES["cut-in-3-m-and-brakes"]()
     found = decide_contested(attribute_collision(trace), seconds)
     assert (found.responsibility, found.fault is None) == (responsible, responsible == "npc")

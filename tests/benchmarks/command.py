@@ -20,7 +20,9 @@ def options(about: str | None, **defaults: Any) -> argparse.Namespace:
         defaults: The default of each option. A text or number sets the option's type, and False makes it a switch. From
             several names, some may be chosen; a list also allows other texts.
     """
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for name, default in defaults.items():
         flag = f"--{name.replace('_', '-')}"
         if default is False:
@@ -42,7 +44,9 @@ def seeds_of(given: argparse.Namespace) -> range:
     return range(given.first_seed, given.first_seed + given.seeds)
 
 
-def as_they_end(workers: int, function: Callable[..., ResultT], tasks: Iterable[tuple[Any, ...]]) -> Iterator[ResultT]:
+def as_they_end(
+    workers: int, function: Callable[..., ResultT], tasks: Iterable[tuple[Any, ...]]
+) -> Iterator[ResultT]:
     """Yield the result of ``function(*task)`` for each task as soon as it ends; the tasks start in order."""
     pool = ProcessPoolExecutor(workers)
     try:

@@ -58,11 +58,17 @@ class Fuzzy:
     def braking(self, ego: VehicleState, other: VehicleState) -> float:
         """Return the braking for a vehicle that is in the way, or will be before the ego has passed it [m/s^2]."""
         gap, v, u = other.x - ego.x - LENGTH, ego.speed, other.speed * math.cos(other.heading)
-        apart, nearing = abs(other.y - ego.y) - WIDTH, other.speed * math.sin(other.heading) * np.sign(ego.y - other.y)
+        apart, nearing = (
+            abs(other.y - ego.y) - WIDTH,
+            other.speed * math.sin(other.heading) * np.sign(ego.y - other.y),
+        )
         passing = (gap + 2 * LENGTH) / (v - u) + 0.1 if v > u else 0.0
         if other.x < ego.x or (apart > 0 and apart > nearing * passing):
             return 0.0
-        room, later = gap - self.ROUNDING, v - u + max(self.acceleration, -self.COMFORTABLE) * self.REACTION
+        room, later = (
+            gap - self.ROUNDING,
+            v - u + max(self.acceleration, -self.COMFORTABLE) * self.REACTION,
+        )
         if later < 0:
             critical = float(v > u and room < (v - u) ** 2 / (2 * abs(self.acceleration)))
         else:
@@ -94,7 +100,11 @@ class Scene(NamedTuple):
             rows.append((x, speed, acceleration))
             states = [npc[tick] for npc in (seen if tick / HZ >= self.seen_from else seen[:-1])]
             others = [VehicleState(*state, round(state[1] / OWN)) for state in states]
-            wish, _ = driver(Observation(tick / HZ, VehicleState(x, OWN, 0.0, speed, 1), others, speed_limit=FASTEST))
+            wish, _ = driver(
+                Observation(
+                    tick / HZ, VehicleState(x, OWN, 0.0, speed, 1), others, speed_limit=FASTEST
+                )
+            )
             acceleration = max(wish, -speed * HZ) if tick / HZ >= BEGIN else 0.0
             x, speed = x + speed / HZ, speed + acceleration / HZ
         along, speeds, accelerations = np.array(rows).T
@@ -110,12 +120,18 @@ class Scene(NamedTuple):
         collision of more than v / (2 * 6 m/s^2) + 0.35 s when it is over the line (5.2.5.2).
         """
         ego, npc, begin = trace.ego, trace.npcs[:, 0], round(BEGIN * HZ)
-        gap, slower = npc[:, X] - ego[:, X] - LENGTH, ego[:, SPEED] - npc[:, SPEED] * np.cos(npc[:, HEADING])
+        gap, slower = (
+            npc[:, X] - ego[:, X] - LENGTH,
+            ego[:, SPEED] - npc[:, SPEED] * np.cos(npc[:, HEADING]),
+        )
         if self.kind == "cut-in":
             over = np.abs(npc[:, Y] - OWN) <= (OWN + WIDTH) / 2 - INTRUSION
             at = int(np.argmax(over))
             v, spare = slower[at], gap[at] - slower[at] ** 2 / (2 * 6.0)
-            is_seen, late = at - begin >= VISIBLE * HZ, QUICK if spare <= v * 1.4 else FAST if v > 12 else ""
+            is_seen, late = (
+                at - begin >= VISIBLE * HZ,
+                QUICK if spare <= v * 1.4 else FAST if v > 12 else "",
+            )
             special = LEVEL if gap[-2] <= 0 else late if is_seen else SUDDEN
             return bool(over.any() and is_seen and v > 0 and spare > v * 0.35), special
         is_required = self.kind == "braking leader" and gap[begin] >= HEADWAY * self.speed
@@ -124,23 +140,37 @@ class Scene(NamedTuple):
 
 def drawn(number: int) -> tuple[Scene, Driver]:
     """Return the scene of a number, and the braking of its ego; the three kinds take turns."""
-    rng, kind = np.random.default_rng([157, number]), ("cut-in", "cut-out", "braking leader")[number % 3]
+    rng, kind = (
+        np.random.default_rng([157, number]),
+        ("cut-in", "cut-out", "braking leader")[number % 3],
+    )
     speed, seen_from, place = rng.uniform(20 / 3.6, FASTEST), 0.0, LENGTH
     other = rng.uniform(10 / 3.6, speed) if kind == "cut-in" else speed
     across = rng.uniform(0.3, min(3.0, 0.15 * other))
     if kind == "cut-in":
-        place, side = place + (speed - other) * (BEGIN + rng.uniform(0, 6)), (LEFT, RIGHT)[rng.integers(2)]
+        place, side = (
+            place + (speed - other) * (BEGIN + rng.uniform(0, 6)),
+            (LEFT, RIGHT)[rng.integers(2)],
+        )
         npcs = [driven(place, side, speed=other, shifts=[(BEGIN, OWN, OWN / across)])]
     elif kind == "cut-out":
         place, seen_from = place + HEADWAY * speed, BEGIN + WANDERING / across
         leader = driven(place, speed=speed, shifts=[(BEGIN, LEFT, OWN / across)])
-        passed, slow = BEGIN + (WIDTH + 0.5) / across + rng.uniform(0, 3), max(rng.uniform(-0.8, 0.8), 0.0) * speed
+        passed, slow = (
+            BEGIN + (WIDTH + 0.5) / across + rng.uniform(0, 3),
+            max(rng.uniform(-0.8, 0.8), 0.0) * speed,
+        )
         npcs = [driven(place + LENGTH + (speed - slow) * passed, speed=slow), leader]
     else:
         place += rng.uniform(1, 3) * speed
         npcs = [driven(place, speed=speed, brakes=[(BEGIN, rng.uniform(1, 9.81), 0.0)])]
-    braking, late = ((0.0, 0.0), (6.0, rng.uniform(1.5, 4)), (rng.uniform(0.5, 3), 1.0))[rng.integers(3)]
-    return Scene(kind, speed, npcs, seen_from), lambda seen: (-braking * (seen.time >= BEGIN + late), 0.0)
+    braking, late = ((0.0, 0.0), (6.0, rng.uniform(1.5, 4)), (rng.uniform(0.5, 3), 1.0))[
+        rng.integers(3)
+    ]
+    return Scene(kind, speed, npcs, seen_from), lambda seen: (
+        -braking * (seen.time >= BEGIN + late),
+        0.0,
+    )
 
 
 def collisions(count: int) -> Iterator[tuple[Scene, Trace]]:
@@ -161,8 +191,13 @@ def main() -> None:
     columns, odd = ("R157", "FSM", "careful", "ego", "both", "npc"), Counter[tuple[str, ...]]()
     for scene, trace in collisions(options(__doc__, collisions=1000).collisions):
         (required, special), verdict = scene.requires(trace), responsible(scene, trace)
-        answers = required, *(not scene.hits(scene.ego(driver())) for driver in (Fuzzy, CarefulHuman))
-        kinds[scene.kind].update(itertools.compress(columns, [*answers, *(verdict == name for name in columns[3:])]))
+        answers = (
+            required,
+            *(not scene.hits(scene.ego(driver())) for driver in (Fuzzy, CarefulHuman)),
+        )
+        kinds[scene.kind].update(
+            itertools.compress(columns, [*answers, *(verdict == name for name in columns[3:])])
+        )
         if {*answers} - {None} != {verdict in ("ego", "both")}:
             says = ["-" if answer is None else "yes" if answer else "no" for answer in answers]
             odd[scene.kind, verdict, *says, special] += 1

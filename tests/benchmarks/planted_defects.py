@@ -131,7 +131,9 @@ def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Sea
 
 def loaded(path: str) -> list[Searched]:
     """Return the searches in a file of JSON lines."""
-    return [Searched(**json.loads(line)) for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    return [
+        Searched(**json.loads(line)) for line in Path(path).read_text(encoding="utf-8").splitlines()
+    ]
 
 
 def saved(searches: Iterable[Searched], path: str) -> Iterator[Searched]:
@@ -163,13 +165,19 @@ def overall_rows(by_arm: Mapping[str, Group]) -> Iterator[str]:
             yield f"| {' | '.join(cells)} |"
 
 
-def ratio_to_default(figure: Callable[[Curve], float], by_arm: Mapping[str, Group], arm: str, measure: str) -> str:
+def ratio_to_default(
+    figure: Callable[[Curve], float], by_arm: Mapping[str, Group], arm: str, measure: str
+) -> str:
     """Return the ratio of a figure to that of the default search, over the seeds that both were searched with."""
-    first, second = ({(each.policy, each.seed): each for each in by_arm.get(name, ())} for name in (arm, DEFAULT))
+    first, second = (
+        {(each.policy, each.seed): each for each in by_arm.get(name, ())} for name in (arm, DEFAULT)
+    )
     both = [pair for pair in first if pair in second]
     if arm == DEFAULT or not both:
         return ""
-    one, other = (sample([searches[pair] for pair in both], measure) for searches in (first, second))
+    one, other = (
+        sample([searches[pair] for pair in both], measure) for searches in (first, second)
+    )
     low, high = ratio_interval(figure, one, other, [policy for policy, _ in both])
     return with_interval(ratio(figure(one.curve), figure(other.curve)), low, high)
 
@@ -200,14 +208,22 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 def number(value: float) -> str:
     """Format a number with three digits, or a dash if it was not reached."""
-    return f"{value:.0f}" if 100 <= value < math.inf else f"{value:.3g}" if math.isfinite(value) else "-"
+    return (
+        f"{value:.0f}"
+        if 100 <= value < math.inf
+        else f"{value:.3g}"
+        if math.isfinite(value)
+        else "-"
+    )
 
 
 def draw(path: str, overall: Mapping[str, Group]) -> None:
     """Draw all defects together, by runs and by wall clock."""
     with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
-        for axes, measure in zip(panels := figure.subplots(1, 2), ("runs", "wall clock [s]"), strict=True):
+        for axes, measure in zip(
+            panels := figure.subplots(1, 2), ("runs", "wall clock [s]"), strict=True
+        ):
             draw_curves(axes, overall, measure)
             axes.set(xlabel=measure, ylabel="not found yet [%]")
             axes.set_title("all defects; band: 95 %", fontsize=9, loc="left")
@@ -222,15 +238,22 @@ def draw_curves(axes: Axes, by_arm: Mapping[str, Group], measure: str) -> None:
         style, curve = STYLES[list(ARMS).index(arm) % len(STYLES)], sample(group, measure).curve
         times = [begin, *curve.times]
         low, high = ([100, *(100 * limit)] for limit in curve.band)
-        axes.fill_between(times, low, high, step="post", color=style.colour, alpha=0.12, linewidth=0)
+        axes.fill_between(
+            times, low, high, step="post", color=style.colour, alpha=0.12, linewidth=0
+        )
         axes.step(times, [100, *(100 * curve.shares)], where="post", label=arm, markersize=4, markevery=0.2,
                   **style.curve)  # fmt: skip
     axes.set(xscale="log", ylim=(0, 103))
 
 
-def grouped(searches: Iterable[Searched], policies: Sequence[str], arms: Sequence[str]) -> dict[str, list[Searched]]:
+def grouped(
+    searches: Iterable[Searched], policies: Sequence[str], arms: Sequence[str]
+) -> dict[str, list[Searched]]:
     """Group the searches of some policies by arm, in the order of the policies and the seeds."""
-    ordered = sorted((each for each in searches if each.policy in policies), key=lambda each: (each.policy, each.seed))
+    ordered = sorted(
+        (each for each in searches if each.policy in policies),
+        key=lambda each: (each.policy, each.seed),
+    )
     groups = {arm: [each for each in ordered if each.arm == arm] for arm in arms}
     return {arm: group for arm, group in groups.items() if group}
 
@@ -242,10 +265,15 @@ def main() -> None:
     )  # fmt: skip
     done = loaded(given.save) if given.save and Path(given.save).exists() else []
     # Seeds come first, so that an interrupted run has equally many searches of each defect by each arm.
-    tasks = [(policy, arm, seed) for seed, policy, arm in product(seeds_of(given), given.policies, given.arms)]
+    tasks = [
+        (policy, arm, seed)
+        for seed, policy, arm in product(seeds_of(given), given.policies, given.arms)
+    ]
     known = {(each.policy, each.arm, each.seed) for each in done}
     new = as_they_end(
-        given.workers, searched, [(*task, given.runs, given.seconds) for task in tasks if task not in known]
+        given.workers,
+        searched,
+        [(*task, given.runs, given.seconds) for task in tasks if task not in known],
     )
     done += saved(new, given.save) if given.save else new
     arms = [arm for arm in given.arms if any(each.arm == arm for each in done)]

@@ -32,8 +32,12 @@ from tests.helpers.interpreted import InterpretedWorld
 
 SCENARIO = Scenario(
     npcs=(
-        tuple(PositionInstruction(cell, speed) for cell, speed in ((8, 22.0), (1, 26.0), (1, 24.0))),
-        tuple(PositionInstruction(cell, speed) for cell, speed in ((4, 22.0), (3, 24.0), (4, 23.0))),
+        tuple(
+            PositionInstruction(cell, speed) for cell, speed in ((8, 22.0), (1, 26.0), (1, 24.0))
+        ),
+        tuple(
+            PositionInstruction(cell, speed) for cell, speed in ((4, 22.0), (3, 24.0), (4, 23.0))
+        ),
     ),
     gene_seconds=20.0,
 )
@@ -53,10 +57,15 @@ def median_ms(way: Callable[[], object], rounds: int, repeats: int = 1) -> float
 
 def gentle_actions(count: int) -> list[FloatArray]:
     """Return one continuous action in [-1, 1]^2 per decision: the ego's speed and steering vary a little."""
-    return [np.array([0.05 * np.sin(k / 5), 0.002 * np.cos(k / 7)], dtype=np.float32) for k in range(count)]
+    return [
+        np.array([0.05 * np.sin(k / 5), 0.002 * np.cos(k / 7)], dtype=np.float32)
+        for k in range(count)
+    ]
 
 
-def playback(actions: list[tuple[float, float]]) -> Callable[[], Callable[[object], tuple[float, float]]]:
+def playback(
+    actions: list[tuple[float, float]],
+) -> Callable[[], Callable[[object], tuple[float, float]]]:
     """Return a factory of an ADS that returns the actions of a list one after another."""
 
     def make() -> Callable[[object], tuple[float, float]]:
@@ -118,7 +127,8 @@ def _engines_at(world: Highway, rounds: int) -> None:
         for name, (way, repeats) in ways.items():
             times[name].append(median_ms(way, 1, repeats))
     hashes = {
-        name: hashlib.sha256(np.ascontiguousarray(log + 0.0).tobytes()).hexdigest()[:8] for name, log in logs.items()
+        name: hashlib.sha256(np.ascontiguousarray(log + 0.0).tobytes()).hexdigest()[:8]
+        for name, log in logs.items()
     }
     print(f"\n60 s, 2 NPCs, {world.physics_hz}/{world.ads_hz} Hz, trivial ADS, {rounds} rounds")
     for name, own_times in times.items():
@@ -136,7 +146,9 @@ def _engines_at(world: Highway, rounds: int) -> None:
 class TimedHighway(Highway):
     """A road that records how long its runs take."""
 
-    spent: list[float] = field(default_factory=list, compare=False)  # processor time of each run [s]
+    spent: list[float] = field(
+        default_factory=list, compare=False
+    )  # processor time of each run [s]
     guards_ads = True  # in the rollout of its base class
 
     def rollout(self, *args: Any, **more: Any) -> Trace:
@@ -156,9 +168,18 @@ def search(rounds: int) -> None:
         "random": {"algorithm": "random"},
         "pafot": {"algorithm": "pafot"},
     }
-    for (ego, ads), (arm, more) in product((("constant speed", idle), ("IDM+MOBIL", IDMVehicle)), arms.items()):
+    for (ego, ads), (arm, more) in product(
+        (("constant speed", idle), ("IDM+MOBIL", IDMVehicle)), arms.items()
+    ):
         road, started = TimedHighway(), time.process_time()
-        told = {"holds": holds, "world": road, "runs": 800, "shrink_runs": 0, "blame": "ego", **more}
+        told = {
+            "holds": holds,
+            "world": road,
+            "runs": 800,
+            "shrink_runs": 0,
+            "blame": "ego",
+            **more,
+        }
         for seed in range(rounds):
             explore(ads, seed=seed, **told)
         total, rollouts, runs = time.process_time() - started, sum(road.spent), len(road.spent)

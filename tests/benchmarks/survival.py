@@ -33,7 +33,11 @@ class Sample:
         """Return Kaplan-Meier's estimate (JASA 53, 1958)."""
         data = scipy.stats.CensoredData.right_censored(self.times, ~self.found)
         estimate = scipy.stats.ecdf(data).sf
-        return Curve(estimate, np.asarray(estimate.quantiles, float), np.asarray(estimate.probabilities, float))
+        return Curve(
+            estimate,
+            np.asarray(estimate.quantiles, float),
+            np.asarray(estimate.probabilities, float),
+        )
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,9 @@ class Curve:
             band = self.estimate.confidence_interval(CONFIDENCE, method="log-log")
         low, high = band.low.probabilities, band.high.probabilities
         # A share of 0 keeps the previous upper limit: a few searches that all found it do not prove a share of 0.
-        return np.where(np.isnan(low), self.shares, low), np.minimum.accumulate(np.nan_to_num(high, nan=1.0))
+        return np.where(np.isnan(low), self.shares, low), np.minimum.accumulate(
+            np.nan_to_num(high, nan=1.0)
+        )
 
     @property
     def median(self) -> float:
@@ -88,7 +94,12 @@ def ratio(first: float, second: float) -> float:
 
 
 def ratio_interval(
-    figure: Callable[[Curve], float], first: Sample, second: Sample, strata: Sequence[Hashable], *, draws: int = 1000
+    figure: Callable[[Curve], float],
+    first: Sample,
+    second: Sample,
+    strata: Sequence[Hashable],
+    *,
+    draws: int = 1000,
 ) -> tuple[float, float]:
     """Return the bootstrap interval of the ratio of a figure of two samples whose searches are paired by their seeds.
 
@@ -105,12 +116,18 @@ def ratio_interval(
     ratios = []
     for _ in range(draws):
         drawn = np.concatenate([rng.choice(group, len(group)) for group in groups])
-        one, other = (figure(Sample(each.times[drawn], each.found[drawn]).curve) for each in (first, second))
+        one, other = (
+            figure(Sample(each.times[drawn], each.found[drawn]).curve) for each in (first, second)
+        )
         ratios.append(ratio(one, other))
     # If both are infinite, the ratio may be anything, so it widens the interval at both ends.
-    ends = (np.nan_to_num(ratios, nan=0.0, posinf=math.inf), np.nan_to_num(ratios, nan=math.inf, posinf=math.inf))
+    ends = (
+        np.nan_to_num(ratios, nan=0.0, posinf=math.inf),
+        np.nan_to_num(ratios, nan=math.inf, posinf=math.inf),
+    )
     tail = (1 - CONFIDENCE) / 2
     low, high = (
-        float(np.quantile(end, at, method="inverted_cdf")) for end, at in zip(ends, (tail, 1 - tail), strict=True)
+        float(np.quantile(end, at, method="inverted_cdf"))
+        for end, at in zip(ends, (tail, 1 - tail), strict=True)
     )
     return low, high

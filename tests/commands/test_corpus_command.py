@@ -18,8 +18,14 @@ from tests.helpers.hostile import unlisted
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, changes in (("a-111111", {}), ("b-222222", {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})):
-        write(tmp_path / "test_it" / "test_x" / f"{name}.pafot.yaml", plain_finding(id=name, **changes))
+    for name, changes in (
+        ("a-111111", {}),
+        ("b-222222", {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}),
+    ):
+        write(
+            tmp_path / "test_it" / "test_x" / f"{name}.pafot.yaml",
+            plain_finding(id=name, **changes),
+        )
     return tmp_path
 
 
@@ -37,13 +43,18 @@ def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch):
     )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not remove the current folder of a process")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows does not remove the current folder of a process"
+)
 def test_current_folder_that_was_removed_is_reported(tmp_path, monkeypatch, capsys):
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     assert main(["corpus", "list"]) == 2
-    assert "corpus: expected an existing current folder, received No such file" in capsys.readouterr().err
+    assert (
+        "corpus: expected an existing current folder, received No such file"
+        in capsys.readouterr().err
+    )
 
 
 def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
@@ -81,7 +92,10 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys):
     capsys.readouterr()
     assert main(["corpus", "list", str(folder)]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "The ego's front hit NPC 0 after 12.4 s; accepted: TICKET-7, until 2999-02-01 b-222222" in told
+    assert (
+        "The ego's front hit NPC 0 after 12.4 s; accepted: TICKET-7, until 2999-02-01 b-222222"
+        in told
+    )
 
 
 def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
@@ -105,7 +119,8 @@ def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys):
     assert accept("a-111111", "none", "b-222222") == 1
     told = capsys.readouterr()
     assert told.out.splitlines() == [
-        f"test_it/test_x/{name}.pafot.yaml: accepted until 2999-01-31: TICKET-7" for name in ("a-111111", "b-222222")
+        f"test_it/test_x/{name}.pafot.yaml: accepted until 2999-01-31: TICKET-7"
+        for name in ("a-111111", "b-222222")
     ]
     assert told.err.startswith("corpus: none: expected the file of a saved scenario")
     assert all(LINE in file.read_text() for file in folder.rglob("*.pafot.yaml"))
@@ -134,10 +149,15 @@ def test_a_day_that_is_none_or_over_is_told(folder, capsys, day, told):
     assert told in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("form", ["{}", "saved-{}", "test_it.py::test_x[saved-{}]", "{}.pafot.yaml"])
+@pytest.mark.parametrize(
+    "form", ["{}", "saved-{}", "test_it.py::test_x[saved-{}]", "{}.pafot.yaml"]
+)
 def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
     assert accept(form.format("a-111111")) == 0
-    assert capsys.readouterr().out == "test_it/test_x/a-111111.pafot.yaml: accepted until 2999-01-31: TICKET-7\n"
+    assert (
+        capsys.readouterr().out
+        == "test_it/test_x/a-111111.pafot.yaml: accepted until 2999-01-31: TICKET-7\n"
+    )
 
 
 @pytest.mark.parametrize(("wrong", "fix"), [
@@ -146,7 +166,9 @@ def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
     ("other", "`python -m pytest_pafot corpus list` lists the files"),
 ])  # fmt: skip
 def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong, fix):
-    write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))  # told only once
+    write(
+        folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111")
+    )  # told only once
     assert accept(wrong) == 1
     assert capsys.readouterr().err == (
         f"corpus: {wrong}: expected the file of a saved scenario, or the id of a saved scenario below the "
@@ -157,5 +179,8 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong
 def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
-    assert "received an id that occurs in 2 files. Give one of the files: test_it/test_x/" in capsys.readouterr().err
+    assert (
+        "received an id that occurs in 2 files. Give one of the files: test_it/test_x/"
+        in capsys.readouterr().err
+    )
     assert accept("test_it/test_y/a-111111.pafot.yaml") == 0

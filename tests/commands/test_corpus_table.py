@@ -18,7 +18,13 @@ from pytest_pafot.report.terminal import annotation_lines
 from tests.findings.builders import plain_finding, sighting
 from tests.report.builders import session_of
 
-AHEAD = {"outcome": Outcome.COMPLETED, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
+AHEAD = {
+    "outcome": Outcome.COMPLETED,
+    "time": 5.9,
+    "cell": None,
+    "side": None,
+    "responsibility": "none",
+}
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +35,9 @@ def wide_terminal(monkeypatch):
 
 def finding(id_, test="test_it.py::test_x", more=None, **expect):
     """Return a finding; ``more`` are fields that it has itself."""
-    return plain_finding(id=id_, test=test, expect=replace(plain_finding().expect, **expect), **(more or {}))
+    return plain_finding(
+        id=id_, test=test, expect=replace(plain_finding().expect, **expect), **(more or {})
+    )
 
 
 def save(root, *findings):
@@ -89,8 +97,17 @@ def test_nothing_is_listed_where_nothing_is_saved(here, capsys):
 
 
 def git(root, *arguments):
-    names = ["-c", "user.name=Ann", "-c", "user.email=ann@example.org", "-c", "init.defaultBranch=main"]
-    done = subprocess.run(["git", "-C", root, *names, *arguments], check=True, capture_output=True, text=True)
+    names = [
+        "-c",
+        "user.name=Ann",
+        "-c",
+        "user.email=ann@example.org",
+        "-c",
+        "init.defaultBranch=main",
+    ]
+    done = subprocess.run(
+        ["git", "-C", root, *names, *arguments], check=True, capture_output=True, text=True
+    )
     return done.stdout.strip()
 
 
@@ -150,7 +167,11 @@ def test_since_is_empty_where_git_does_not_know_it(repository, capsys, monkeypat
 def test_each_repository_is_asked_for_its_own_files(repository, capsys, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     save(outside, finding("c"))
-    assert days(listed(capsys, str(outside), ".")) == {"a": "2026-10-01", "b": "2026-10-02", "c": ""}
+    assert days(listed(capsys, str(outside), ".")) == {
+        "a": "2026-10-01",
+        "b": "2026-10-02",
+        "c": "",
+    }
 
 
 def test_the_list_that_a_ci_job_names_has_the_findings(here, capsys):

@@ -14,7 +14,9 @@ from tests.helpers.sessions import INTERRUPTIBLE
 
 pytestmark = [
     pytest.mark.processes,
-    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by their variables"),
+    pytest.mark.skipif(
+        not Path("/proc/self/environ").exists(), reason="processes are found by their variables"
+    ),
 ]
 
 SLOW = """
@@ -72,13 +74,20 @@ sys.meta_path.insert(0, Interrupted())
     (IMPORTING, "pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
     (STARTING, "", "SIGINT", ["search", "slow:make"]),  # in the process that drives
 ])  # fmt: skip
-def test_signal_while_a_command_starts_is_told_without_traceback(tmp_path, starts, module, name, command):
-    (tmp_path / "sitecustomize.py").write_text(starts.replace("MODULE", module).replace("NAME", name))
+def test_signal_while_a_command_starts_is_told_without_traceback(
+    tmp_path, starts, module, name, command
+):
+    (tmp_path / "sitecustomize.py").write_text(
+        starts.replace("MODULE", module).replace("NAME", name)
+    )
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     started = [sys.executable, "-m", "pytest_pafot", *command]
     given = {"cwd": tmp_path, "env": environ, "timeout": 60}
     ended = subprocess.run(started, capture_output=True, text=True, check=False, **given)
-    assert (ended.returncode, ended.stderr.strip()) == (128 + getattr(signal, name), f"{command[0]}: interrupted")
+    assert (ended.returncode, ended.stderr.strip()) == (
+        128 + getattr(signal, name),
+        f"{command[0]}: interrupted",
+    )
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])  # SIGHUP ends the command of an extra
@@ -89,7 +98,11 @@ def test_search_ends_all_that_it_began(tmp_path, tmp_path_factory, name):
 def check_that_all_ends(folder, places, words, name):
     """Send a signal to a command; nothing is left of its processes, and in its folder for temporary files."""
     (folder / "slow.py").write_text(SLOW)
-    own = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "TMPDIR": str(places)}
+    own = {
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "PYTEST_PLUGINS": "pytest_pafot.plugin",
+        "TMPDIR": str(places),
+    }
     environ, number = {**os.environ, **own}, getattr(signal, name)
     command = [*INTERRUPTIBLE, *words]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -103,7 +116,9 @@ def check_that_all_ends(folder, places, words, name):
         process.wait(60)
     assert process.returncode == 128 + number
     deadline = time.monotonic() + 60.0
-    while processes_with(mark) and time.monotonic() < deadline:  # what is killed takes a moment to go
+    while (
+        processes_with(mark) and time.monotonic() < deadline
+    ):  # what is killed takes a moment to go
         time.sleep(0.1)
     assert processes_with(mark) == []
     assert [each.name for each in places.iterdir() if not each.name.startswith("pytest-")] == []

@@ -60,14 +60,18 @@ def ended(folder, command, *, options=None, **parts):
         done = command_in_a_copy("pytest_pafot", *command.split(), folder=folder)
         return done.code, done.err + done.out
     line = [sys.executable, *options, "-m", "pytest_pafot", *command.split()]
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(
+        line, cwd=folder, capture_output=True, text=True, check=False, timeout=120
+    )
     return done.returncode, done.stderr + done.stdout
 
 
 @pytest.fixture(autouse=True)
 def outside_of_ci(monkeypatch):
     monkeypatch.delenv("CI", raising=False)
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
+    monkeypatch.setenv(
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
+    )  # loading other plugins takes as long as a search
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     set_keys(monkeypatch, shrink_runs=0)
 
@@ -78,7 +82,9 @@ def test_the_end_of_an_isolated_process_is_a_finding_of_a_search(tmp_path):
     assert re.search(r"  crash-\w+: \d+ runs? \(new\)\.", told)
 
 
-@pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
+@pytest.mark.parametrize(
+    ("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways]
+)
 def test_a_policy_that_ends_its_process_is_no_success(tmp_path, place, how):
     check_ending(tmp_path, SEARCH, place, how)
 
@@ -87,8 +93,12 @@ def check_ending(folder, command, place, how):
     """Run a command on a policy that ends its process at a place; it says so, and is no success."""
     code, told = ended(folder, command, **{place: how})
     assert code != 0
-    assert "Traceback" not in told or not command.startswith("rate")  # pytest's, or the policy's own
-    assert re.search(r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told)
+    assert "Traceback" not in told or not command.startswith(
+        "rate"
+    )  # pytest's, or the policy's own
+    assert re.search(
+        r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told
+    )
 
 
 def test_an_ending_after_the_verdict_is_no_success(tmp_path):
@@ -111,7 +121,9 @@ def test_the_session_of_a_search_ends_as_pytest_does_if_nobody_reads_its_output(
     reader, writer = os.pipe()
     os.close(reader)
     line = [sys.executable, "-m", "pytest_pafot", *SEARCH.split()]
-    done = subprocess.run(line, cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, check=False, text=True)
+    done = subprocess.run(
+        line, cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, check=False, text=True
+    )
     os.close(writer)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr

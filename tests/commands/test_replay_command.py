@@ -76,7 +76,9 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     done = command_in_a_copy("pytest_pafot", "replay", *arguments)
     assert (done.code, told in done.out) == (code, True), done.out + done.err
     name = arguments[0].removesuffix(".pafot.yaml")
-    assert re.match(rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0\. .* policies:\w+\n", done.out)
+    assert re.match(
+        rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0\. .* policies:\w+\n", done.out
+    )
     new = {path.relative_to(here).parts[0] for path in {*here.rglob("*")} - before}
     assert new <= {"__pycache__", "page.html"}
 
@@ -94,10 +96,14 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     (["folder.pafot.yaml", "--ads", "policies:Idle"], "folder.pafot.yaml: expected the file of a saved scenario, or"),
     (["nobody", "--ads", "policies:Idle"], "nobody: expected the file of a saved scenario, or the id of a saved"),
 ])  # fmt: skip
-def test_what_cannot_be_replayed_is_told_with_the_exit_code_of_wrong_use(here, capsys, arguments, told):
+def test_what_cannot_be_replayed_is_told_with_the_exit_code_of_wrong_use(
+    here, capsys, arguments, told
+):
     text = (here / ACCEPTED).read_text()
     for name, content in {
-        "own": re.sub(r"(?s)world: \{kind: highway.*?\}\n", "world: {kind: own, class: mine.Road}\n", text),
+        "own": re.sub(
+            r"(?s)world: \{kind: highway.*?\}\n", "world: {kind: own, class: mine.Road}\n", text
+        ),
         "newer": re.sub(r"(?m)^pafot: \d+", "pafot: 999", text),
         "large": f"{text}{'#' * 256 * 1024}",
         "a [1]": text,
@@ -112,13 +118,23 @@ def test_what_cannot_be_replayed_is_told_with_the_exit_code_of_wrong_use(here, c
 def test_a_wrong_option_of_a_replay_is_told_with_its_usage(capsys):
     with pytest.raises(SystemExit, match="4"):
         main(["replay", ACCEPTED, "--adz", "policies:Idle"])
-    assert capsys.readouterr().err.startswith("usage: python -m pytest_pafot replay FILE --ads ADS [option ...]")
+    assert capsys.readouterr().err.startswith(
+        "usage: python -m pytest_pafot replay FILE --ads ADS [option ...]"
+    )
 
 
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_replay_ends_without_traceback(here):
-    command = [sys.executable, "-m", "pytest_pafot", "replay", ACCEPTED, "--ads", "policies:Sleeping"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest_pafot",
+        "replay",
+        ACCEPTED,
+        "--ads",
+        "policies:Sleeping",
+    ]
     with begun(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as replay:
         deadline = time.monotonic() + 60.0
         while not (here / "driving").exists() and time.monotonic() < deadline:

@@ -8,7 +8,11 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import ZoneSituation
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import (
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
@@ -16,7 +20,9 @@ from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 
 PATH = Path("did-not-give-way-left-1f3a9c.pafot.yaml")
-SITUATION = ZoneSituation(npc=0, time=4.2, npc_enters=1.8, ego_enters=2.0, ego_speed=10.0, npc_speed=8.6)
+SITUATION = ZoneSituation(
+    npc=0, time=4.2, npc_enters=1.8, ego_enters=2.0, ego_speed=10.0, npc_speed=8.6
+)
 CROSSES = Scenario(
     npcs=(
         (CrossingInstruction("o1>o3", 0.5, 8.6),),
@@ -39,7 +45,9 @@ def finding_at_zone(**changes):
         responsibility="ego",
         situation=SITUATION,
     )
-    return plain_finding(**({"id": PATH.name.partition(".")[0], "scenario": CROSSES, "expect": expect} | changes))
+    return plain_finding(
+        **({"id": PATH.name.partition(".")[0], "scenario": CROSSES, "expect": expect} | changes)
+    )
 
 
 TEXT = text_of(finding_at_zone())
@@ -54,7 +62,10 @@ def test_instructions_are_written_without_defaults():
         "    NPC 2: [{zone: o3>o1, slot: -1.0, speed: 5.0, act: hold}]",
     ]
     assert "npc: 0, zone: crossing from the left, side: left," in TEXT
-    assert "situation: {npc: 0, time: 4.2, npc_enters: 1.8, ego_enters: 2.0, ego_speed: 10.0, npc_speed: 8.6}" in TEXT
+    assert (
+        "situation: {npc: 0, time: 4.2, npc_enters: 1.8, ego_enters: 2.0, ego_speed: 10.0, npc_speed: 8.6}"
+        in TEXT
+    )
     assert parsed(PATH, TEXT.encode()) == finding_at_zone()
 
 

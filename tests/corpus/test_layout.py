@@ -24,7 +24,9 @@ from pytest_pafot.corpus.layout import (
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
 
-RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
+RESERVED = {"con", "prn", "aux", "nul"} | {
+    f"{port}{n}" for port in ("com", "lpt") for n in range(10)
+}
 
 
 def test_corpus_folder_lies_next_to_its_test_file():
@@ -73,7 +75,11 @@ texts = st.one_of(
     st.text(CHARACTERS, max_size=120),
     st.text("aAb@[]~.:/-_ \\", max_size=12),
     st.sampled_from(sorted(RESERVED)).map(str.upper),
-    st.builds("{}[{}]".format, st.sampled_from(["test_a", "TEST_A", "con"]), st.text(CHARACTERS, max_size=40)),
+    st.builds(
+        "{}[{}]".format,
+        st.sampled_from(["test_a", "TEST_A", "con"]),
+        st.text(CHARACTERS, max_size=40),
+    ),
 )
 
 
@@ -176,22 +182,30 @@ def test_folder_name_leads_to_its_test_file(tmp_path):
     assert module_named(tmp_path, "test_gone") == tmp_path / "test_gone.py"
 
 
-IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACTERS) | st.sampled_from(
-    ["con", "_", "test_\u00e9", "test_a"]
+IDENTIFIERS = st.from_regex(
+    r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACTERS
+) | st.sampled_from(["con", "_", "test_\u00e9", "test_a"])
+
+
+@given(
+    test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join),
+    parameters=st.text(CHARACTERS, max_size=20),
 )
-
-
-@given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(CHARACTERS, max_size=20))
 def test_folder_of_a_test_matches_its_name(test, parameters):
     assert may_be_of(safe_name(test), test)
     assert may_be_of(safe_name(f"{test}[{parameters}]"), test)
 
 
-@given(st.lists(st.tuples(IDENTIFIERS, st.none() | st.text(CHARACTERS, max_size=4)), max_size=9), IDENTIFIERS)
+@given(
+    st.lists(st.tuples(IDENTIFIERS, st.none() | st.text(CHARACTERS, max_size=4)), max_size=9),
+    IDENTIFIERS,
+)
 def test_folders_of_a_test_are_found_among_all(tmp_path_factory, others, test):
     module = tmp_path_factory.mktemp("module")
     for name, parameters in [*others, (test, None), (test, "1")]:
-        (module / safe_name(name if parameters is None else f"{name}[{parameters}]")).mkdir(exist_ok=True)
+        (module / safe_name(name if parameters is None else f"{name}[{parameters}]")).mkdir(
+            exist_ok=True
+        )
     for name in (test, *(name for name, _ in others)):
         assert TestFolders(module).folders_of(name) == [
             each for each in sorted(module.iterdir()) if may_be_of(each.name, name)
@@ -199,7 +213,9 @@ def test_folders_of_a_test_are_found_among_all(tmp_path_factory, others, test):
 
 
 def test_folder_of_longer_name_belongs_to_another_test():
-    assert may_be_of(safe_name("TestA::\u00aa[0]"), "TestA::\u00aa")  # whose ending is not in the folder's name
+    assert may_be_of(
+        safe_name("TestA::\u00aa[0]"), "TestA::\u00aa"
+    )  # whose ending is not in the folder's name
     for other in ("test_ab", "test_ab[1]", "test_ab[A]", "test_a_b[A]", "TestX::test_a"):
         assert not may_be_of(safe_name(other), "test_a")
         assert not may_be_of(safe_name(f"TestX::{other}"), "TestX::test_a")

@@ -12,10 +12,17 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError
 
-TEXTS = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))]
+TEXTS = [
+    path.read_text(encoding="utf-8")
+    for path in sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
+]
 EXAMPLES = settings.default.max_examples * 3 // 4
 """The number of examples for each kind of damage."""
-VALUE, KEY, NUMBER = r"(?<=: )[^,{}\[\]\n#|]+(?=[,}\]\n])", r"[A-Za-z_]+(?=: )", r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])"
+VALUE, KEY, NUMBER = (
+    r"(?<=: )[^,{}\[\]\n#|]+(?=[,}\]\n])",
+    r"[A-Za-z_]+(?=: )",
+    r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])",
+)
 NUMBERS = (
     "007", "0x1A", "0o17", "0b11", "1_000", "1:30", "1e3", "+5", "5.", ".5", "1.5e3", "-1", "-0.0", "0", ".nan", ".inf",
     "1.0e+300", "1.0e-300", "99999999999999999999", "3000000", "3", "2.5", "0.1", "61", "12345.6789", "8", "2",
@@ -26,7 +33,11 @@ ODD = (
     "none", "ego", "left",
 )  # fmt: skip
 AROUND = ('"{}"', "[{}]", "{{a: {}}}", "&a {}", "!!str {}", "! {}", "{0}, {0}")
-CHARACTERS = (*map(chr, range(32, 127)), *"\t\n\0\x85\xa0\u2028\ufeff\u0430\u043e\uff11\u2212\uff1a", "")
+CHARACTERS = (
+    *map(chr, range(32, 127)),
+    *"\t\n\0\x85\xa0\u2028\ufeff\u0430\u043e\uff11\u2212\uff1a",
+    "",
+)
 
 
 def replaced(pattern, by):
@@ -48,7 +59,9 @@ def moved(rng, text):
     """Return a text of which a line is dropped, repeated elsewhere, or moved in or out."""
     lines = text.splitlines(keepends=True)
     at = rng.randrange(len(lines))
-    lines[at : at + 1] = rng.choice([[], [rng.choice(lines), lines[at]], [f"  {lines[at]}"], [lines[at].lstrip(" ")]])
+    lines[at : at + 1] = rng.choice(
+        [[], [rng.choice(lines), lines[at]], [f"  {lines[at]}"], [lines[at].lstrip(" ")]]
+    )
     return "".join(lines)
 
 
@@ -57,8 +70,13 @@ DAMAGES = {
     "around a value": replaced(VALUE, lambda rng, value: rng.choice(AROUND).format(value)),
     "number": replaced(NUMBER, lambda rng, _: rng.choice(NUMBERS)),
     "scaled number": replaced(NUMBER, scaled),
-    "key": replaced(KEY, lambda rng, key: rng.choice([f"{key}s", key[1:], key.upper(), "lanes", "seed", f"'{key}'"])),
-    "repeated entry": replaced(r"[A-Za-z_]+: [^,{}\[\]\n#|]+(?=[,}\n])", lambda rng, entry: f"{entry}, {entry}"),
+    "key": replaced(
+        KEY,
+        lambda rng, key: rng.choice([f"{key}s", key[1:], key.upper(), "lanes", "seed", f"'{key}'"]),
+    ),
+    "repeated entry": replaced(
+        r"[A-Za-z_]+: [^,{}\[\]\n#|]+(?=[,}\n])", lambda rng, entry: f"{entry}, {entry}"
+    ),
     "character": replaced(".", lambda rng, old: rng.choice(["", old]) + rng.choice(CHARACTERS)),
     "line": moved,
     "end": lambda rng, text: text[: rng.randrange(len(text))],
@@ -98,7 +116,8 @@ def leaves(node, place=""):
 def misread(text, finding):
     """Return the places at which a text, and that of the finding that was read from it, say different things."""
     said, read = (
-        leaves(yaml.compose(each.removeprefix("\ufeff"), yaml.BaseLoader)) for each in (text, text_of(finding))
+        leaves(yaml.compose(each.removeprefix("\ufeff"), yaml.BaseLoader))
+        for each in (text, text_of(finding))
     )
     differing = {place for place in said.keys() & read.keys() if said[place] != read[place]}
     missing = {place for place in said.keys() - read.keys() if said[place] not in UNWRITTEN}
@@ -118,7 +137,9 @@ def test_damaged_file_is_refused_or_read_correctly(kind):
     assert read < EXAMPLES
 
 
-@pytest.mark.parametrize(("old", "new"), [("\n        headway", "\n\t        headway"), ("headway: ", "head?way: ")])
+@pytest.mark.parametrize(
+    ("old", "new"), [("\n        headway", "\n\t        headway"), ("headway: ", "head?way: ")]
+)
 def test_what_only_the_compiled_parser_reads_is_refused(old, new):
     text = next(text for text in TEXTS if old in text)
     assert finding_of(text.replace(old, new, 1)) is None

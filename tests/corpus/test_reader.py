@@ -77,7 +77,9 @@ def test_all_line_endings_and_byte_order_marks_work(path, ends, mark):
 
 def test_comments_order_and_style_do_not_matter(path):
     document = yaml.safe_load(TEXT)
-    path.write_text("# mine\n" + yaml.safe_dump(dict(reversed(document.items())), default_flow_style=False))
+    path.write_text(
+        "# mine\n" + yaml.safe_dump(dict(reversed(document.items())), default_flow_style=False)
+    )
     assert load(path) == plain_finding()
 
 
@@ -182,7 +184,10 @@ def test_each_further_part_of_an_expectation_is_read_strictly(path, more, field)
     assert (error.line, error.field) == (8, f"expect.{field}")
 
 
-@table("number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"])
+@table(
+    "number",
+    ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"],
+)
 def test_number_with_two_possible_readings_is_refused(path, number):
     error = fault(path, swapped("seed: 7", f"seed: {number}"))
     assert error.line == 3
@@ -196,7 +201,9 @@ def test_word_with_two_possible_readings_is_refused(path, word):
 
 @table("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
 def test_last_xfail_day_is_read_quoted_or_unquoted(path, day):
-    path.write_text(swapped("# xfail: {reason, until}", f"xfail: {{reason: issue 12, until: {day}}}"))
+    path.write_text(
+        swapped("# xfail: {reason, until}", f"xfail: {{reason: issue 12, until: {day}}}")
+    )
     finding = load(path)
     assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
     assert finding.accepted == "issue 12, until 2027-01-31"
@@ -263,7 +270,9 @@ def test_aliases_anchors_and_tags_are_refused(path, value, expected):
 
 
 def test_billion_laughs_file_is_refused_without_expansion(path):
-    laughs = ["a0: &a0 [lol]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    laughs = ["a0: &a0 [lol]"] + [
+        f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)
+    ]
     text, errors = "pafot: 1\n" + "\n".join(laughs), []
     assert calls_in(lambda: errors.append(fault(path, text))) < 10_000
     assert errors[0].expected == "a value without aliases or anchors"
@@ -340,7 +349,9 @@ SECRETS = {
 def test_error_shows_no_content_of_a_foreign_file(path, secret):
     error = fault(path, secret)
     text = str(error).replace(str(path), "")
-    assert not any(word in text for word in ("HUSH", "github", "48", "20", "a4", "1b", "001B")), text
+    assert not any(word in text for word in ("HUSH", "github", "48", "20", "a4", "1b", "001B")), (
+        text
+    )
     assert "\n" not in text
 
 
@@ -428,7 +439,11 @@ def test_a_file_cut_short_anywhere_is_refused(path):
         with contextlib.suppress(CorpusError):
             return parsed(path, text.encode()) is not None
 
-    assert [cut for cut in range(0, len(TEXT) - len("# xfail: {reason, until}\n") - 1, 7) if is_read(TEXT[:cut])] == []
+    assert [
+        cut
+        for cut in range(0, len(TEXT) - len("# xfail: {reason, until}\n") - 1, 7)
+        if is_read(TEXT[:cut])
+    ] == []
 
 
 @given(st.binary(max_size=200))
@@ -478,7 +493,12 @@ def test_the_egos_own_vehicle_is_read_strictly(path):
         path.write_text(text_of(replace(plain_finding(), world=Highway(ego=ego).to_dict())))
         assert from_dict(load(path).world) == Highway(ego=ego)
     path.write_text(
-        text_of(replace(plain_finding(), world={**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}}))
+        text_of(
+            replace(
+                plain_finding(),
+                world={**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}},
+            )
+        )
     )
     with pytest.raises(CorpusError, match=r"world.ego: expected the key 'width'"):
         load(path)

@@ -17,17 +17,29 @@ FILES = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
 def test_saved_file_is_rewritten_byte_for_byte(path):
     finding = load(path)
     assert text_of(finding) == path.read_text(encoding="utf-8")
-    assert finding.world["kind"] == "own" or from_dict(dict(finding.world)).to_dict() == finding.world
+    assert (
+        finding.world["kind"] == "own" or from_dict(dict(finding.world)).to_dict() == finding.world
+    )
 
 
 def test_another_default_changes_no_saved_world(monkeypatch):
     from highway_env.envs.highway_env import HighwayEnv
 
     written = [Highway().to_dict(), World("highway-v0").to_dict()]
-    for cls, name, value in ((Highway, "lanes", 6), (Highway, "headway", 1.0), (NpcLimits, "jerk", 5.0)):
+    for cls, name, value in (
+        (Highway, "lanes", 6),
+        (Highway, "headway", 1.0),
+        (NpcLimits, "jerk", 5.0),
+    ):
         monkeypatch.setitem(cls.__init__.__kwdefaults__, name, value)
-    changed = HighwayEnv.default_config() | {"lanes_count": 3, "policy_frequency": 5, "duration": 20}
-    monkeypatch.setattr(HighwayEnv, "default_config", classmethod(lambda cls: copy.deepcopy(changed)))
+    changed = HighwayEnv.default_config() | {
+        "lanes_count": 3,
+        "policy_frequency": 5,
+        "duration": 20,
+    }
+    monkeypatch.setattr(
+        HighwayEnv, "default_config", classmethod(lambda cls: copy.deepcopy(changed))
+    )
     assert (Highway().lanes, NpcLimits().jerk, World("highway-v0").lanes) == (6, 5.0, 3)
     assert [from_dict(copy.deepcopy(data)).to_dict() for data in written] == written
     assert from_dict(copy.deepcopy(written[1])).longest_run == 40.0

@@ -35,7 +35,10 @@ def test_new_file_comes_with_folders_and_who_comes_second_changes_nothing(path):
 
 def test_vehicles_are_one_readable_line_and_read_back(path):
     bus = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
-    scenario = Scenario(npcs=[[PositionInstruction(cell, 25.0)] for cell in (1, 2, 3)], vehicles=("car", bus, "truck"))
+    scenario = Scenario(
+        npcs=[[PositionInstruction(cell, 25.0)] for cell in (1, 2, 3)],
+        vehicles=("car", bus, "truck"),
+    )
     write(path, plain_finding(scenario=scenario))
     line = "  vehicles: {NPC 1: {name: bus, length: 12.0, width: 2.5, acceleration: 1.2}, NPC 2: truck}"
     assert line in path.read_text().splitlines()
@@ -79,7 +82,9 @@ def test_rewrite_of_a_vanished_file_creates_it_again(path):
 def test_unreadable_file_is_never_overwritten_and_its_name_not_reused(path):
     path.parent.mkdir(parents=True)
     path.write_text("the user is editing this")
-    with pytest.raises(CorpusWriteError, match="Restore the file from version control, or delete it"):
+    with pytest.raises(
+        CorpusWriteError, match="Restore the file from version control, or delete it"
+    ):
         rewrite(path, plain_finding())
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
     assert path.read_text() == "the user is editing this"

@@ -35,11 +35,15 @@ def of(*, expect=(), scenario=(), **changes):
     """Return a finding with changes, also of what it expects and of its scenario."""
     plain = plain_finding(**changes)
     return replace(
-        plain, expect=replace(plain.expect, **dict(expect)), scenario=replace(plain.scenario, **dict(scenario))
+        plain,
+        expect=replace(plain.expect, **dict(expect)),
+        scenario=replace(plain.scenario, **dict(scenario)),
     )
 
 
-SITUATION = Situation(npc=0, time=6.6, gap=15.0, place="behind", lanes_to_right=-1, ego_speed=6.7, npc_speed=0.8)
+SITUATION = Situation(
+    npc=0, time=6.6, gap=15.0, place="behind", lanes_to_right=-1, ego_speed=6.7, npc_speed=0.8
+)
 
 
 @table(("finding", "line"), [
@@ -100,8 +104,15 @@ def test_failed_property_without_collision_names_its_worst_moment():
 
 
 def test_wide_world_is_wrapped_between_its_entries(snapshot):
-    config = {"observation": {"type": "Kinematics", "features": ["presence"] * 12}, "action": {"type": "Discrete" * 3}}
-    world = {"kind": "gym", "env_id": "own-v0", "config": config | {f"key_{index}": index for index in range(18)}}
+    config = {
+        "observation": {"type": "Kinematics", "features": ["presence"] * 12},
+        "action": {"type": "Discrete" * 3},
+    }
+    world = {
+        "kind": "gym",
+        "env_id": "own-v0",
+        "config": config | {f"key_{index}": index for index in range(18)},
+    }
     text = text_of(plain_finding(world=world | {"duration": 40.0, "limits": {}}))
     assert text[text.index("world:") : text.index("\n# xfail")] == snapshot
 
@@ -122,12 +133,20 @@ def test_every_finding_is_readable_by_any_yaml_parser(finding):
 @table("text", NASTY_TEXTS)
 def test_nasty_texts_survive_everywhere(tmp_path, text):
     expect = replace(
-        plain_finding().expect, failure=text if text.strip() else "Failed", assertion=text, message=text, traceback=text
+        plain_finding().expect,
+        failure=text if text.strip() else "Failed",
+        assertion=text,
+        message=text,
+        traceback=text,
     )
     world = {"a": text, "b": [text, {"c": text}], text[:60]: 1}
     reason = text if text.strip() else None
     finding = plain_finding(
-        expect=expect, world=world, xfail=reason, xfail_until=reason and date(2027, 1, 31), test=reason or "t"
+        expect=expect,
+        world=world,
+        xfail=reason,
+        xfail_until=reason and date(2027, 1, 31),
+        test=reason or "t",
     )
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
     path.unlink(missing_ok=True)

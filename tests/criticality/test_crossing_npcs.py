@@ -29,7 +29,10 @@ ALONG_THE_WAY = {
     "safe_along": lambda trace: RoadFrame(trace).safe_along(RssRules()),
     "safety_distance": criticality.safety_distance,
 }
-IN_ONE_LANE = {"ego_follows": lambda trace: Encounters(trace).ego_follows.T, "safety_shortfall": safety_shortfall}
+IN_ONE_LANE = {
+    "ego_follows": lambda trace: Encounters(trace).ego_follows.T,
+    "safety_shortfall": safety_shortfall,
+}
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
@@ -87,7 +90,14 @@ def test_npc_off_the_way_is_in_no_lane(name):
 @table("name", [*ALONG_THE_WAY, *IN_ONE_LANE])
 def test_merged_npc_is_measured_like_any_other(name):
     trace, measure = mixed(), (ALONG_THE_WAY | IN_ONE_LANE)[name]
-    after = replace(trace, states=trace.states[MERGED:], track=trace.track[MERGED:], on_way=None, zones=(), arrivals=())
+    after = replace(
+        trace,
+        states=trace.states[MERGED:],
+        track=trace.track[MERGED:],
+        on_way=None,
+        zones=(),
+        arrivals=(),
+    )
     np.testing.assert_array_equal(measure(trace)[MERGED:, 1:], measure(after)[:, 1:])
 
 
@@ -116,7 +126,14 @@ def test_road_frame_is_nan_off_the_way():
     np.testing.assert_array_equal(frame.is_on_way, ~off)
     for values in (frame.ahead, frame.right):
         np.testing.assert_array_equal(np.isnan(values), off)
-    for values in (frame.cos, frame.sin, frame.speed, frame.drift, frame.half_along, frame.half_across):
+    for values in (
+        frame.cos,
+        frame.sin,
+        frame.speed,
+        frame.drift,
+        frame.half_along,
+        frame.half_across,
+    ):
         np.testing.assert_array_equal(np.isnan(values[1:]), off)
         assert not np.isnan(values[0]).any()
 
@@ -134,7 +151,9 @@ def test_npc_leaving_the_ego_way_has_no_drift():
     trace = mixed()
     track = trace.track.copy()
     track[80:, 2] = np.nan
-    np.testing.assert_array_equal(np.isnan(RoadFrame(replace(trace, track=track)).drift[2]), np.isnan(track[:, 2, 0]))
+    np.testing.assert_array_equal(
+        np.isnan(RoadFrame(replace(trace, track=track)).drift[2]), np.isnan(track[:, 2, 0])
+    )
 
 
 def test_npc_off_the_way_is_in_no_cell():
@@ -247,7 +266,11 @@ def test_zones_without_places_have_no_passages(missing):
 
 def test_signals_of_crossing_npc_are_numbers_except_position():
     first, second, third = Signals(mixed()).npcs
-    names = [measure.name.removeprefix("npcs.") for measure in MEASURES if measure.name.startswith("npcs.")]
+    names = [
+        measure.name.removeprefix("npcs.")
+        for measure in MEASURES
+        if measure.name.startswith("npcs.")
+    ]
     missing = [name for name in names if np.isnan(getattr(first, name)).any()]
     assert missing == ["ahead", "right"]
     assert np.isnan(second.ahead).sum() == np.isnan(second.right).sum() == MERGED

@@ -40,7 +40,9 @@ ONE_SIDED = (criticality.ettc, safe_along, safe_across)
 SYMMETRIC = [measure for measure in ARRAYS if measure not in ONE_SIDED]
 
 seeds = st.integers(0, 2**32 - 1)
-angles = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2, 0.3, -2.5, 1e-4]) | st.floats(-math.pi, math.pi)
+angles = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2, 0.3, -2.5, 1e-4]) | st.floats(
+    -math.pi, math.pi
+)
 coordinates = st.floats(-20, 20)
 speeds = st.sampled_from([0.0, 10.0]) | st.floats(-5, 30)
 
@@ -48,7 +50,9 @@ speeds = st.sampled_from([0.0, 10.0]) | st.floats(-5, 30)
 @st.composite
 def movers(draw):
     """Return one vehicle at one tick; it may be parallel or standing."""
-    return vehicle(draw(coordinates), draw(coordinates), heading=draw(angles), speed=draw(speeds), lane=1)
+    return vehicle(
+        draw(coordinates), draw(coordinates), heading=draw(angles), speed=draw(speeds), lane=1
+    )
 
 
 def of_one_npc(measure, ego, npc, **fields):
@@ -58,7 +62,9 @@ def of_one_npc(measure, ego, npc, **fields):
 
 def random_trace(seed, *, rows=12, vehicles=3, lanes=None):
     rng = np.random.default_rng(seed)
-    return with_states(random_states(rng, rows, vehicles), rng.uniform([4, 1.6], [12, 2.6], (vehicles, 2)), lanes)
+    return with_states(
+        random_states(rng, rows, vehicles), rng.uniform([4, 1.6], [12, 2.6], (vehicles, 2)), lanes
+    )
 
 
 def with_states(states, sizes, lanes=None):
@@ -78,12 +84,16 @@ class TestGap:
 
     def test_uses_each_vehicle_s_own_size(self):
         sizes = [(5, 2), (12, 2.5)]
-        assert of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes) == pytest.approx(20 - 2.5 - 6)
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes) == pytest.approx(
+            20 - 2.5 - 6
+        )
 
 
 class TestCentreDistance:
     def test_is_euclidean(self):
-        assert of_one_npc(criticality.centre_distance, vehicle(1, 2, heading=0.4), vehicle(4, 6)) == pytest.approx(5)
+        assert of_one_npc(
+            criticality.centre_distance, vehicle(1, 2, heading=0.4), vehicle(4, 6)
+        ) == pytest.approx(5)
 
 
 class TestTtc:
@@ -101,11 +111,14 @@ class TestTtc:
 
 class TestEttc:
     @given(movers(), movers())
-    @example(vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0))  # the time to the crossing point is infinite
+    @example(
+        vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0)
+    )  # the time to the crossing point is infinite
     @example(vehicle(0, 1, heading=0.5, speed=1e-308), vehicle(50))
     def test_is_the_solution_of_the_two_lines(self, ego, npc):
         directions = [
-            math.copysign(1, state[SPEED] + 0.0) * np.array([math.cos(state[HEADING]), math.sin(state[HEADING])])
+            math.copysign(1, state[SPEED] + 0.0)
+            * np.array([math.cos(state[HEADING]), math.sin(state[HEADING])])
             for state in (ego[0], npc[0])
         ]
         matrix = np.column_stack([directions[0], -directions[1]])
@@ -173,7 +186,9 @@ def test_hardest_brake_is_the_largest_deceleration_of_the_ego_alone():
     ego = vehicle([0, 1, 2], speed=20, acceleration=[0, -3.5, 2])
     npc = vehicle([50, 51, 52], speed=20, acceleration=[0, -8, 0])
     assert criticality.hardest_brake(trace_of(ego, npc)) == 3.5
-    assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0, "it never brakes"
+    assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0, (
+        "it never brakes"
+    )
 
 
 def stopping_way(speed, response, acceleration, braking, *, step=1e-3):
@@ -188,7 +203,9 @@ def stopping_way(speed, response, acceleration, braking, *, step=1e-3):
 
 
 class TestRss:
-    rules = RssRules(ego_response=0.5, npc_response=1.5, acceleration=3, least_braking=4, hardest_braking=9)
+    rules = RssRules(
+        ego_response=0.5, npc_response=1.5, acceleration=3, least_braking=4, hardest_braking=9
+    )
 
     @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
     def test_rss_longitudinal_distance_suffices_exactly_in_worst_case(self, follower, leader):
@@ -206,7 +223,8 @@ class TestRss:
 
     def test_oncoming_leader_needs_more_distance_than_standing_leader(self):
         standing, oncoming = (
-            of_one_npc(safe_along, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed)) for speed in (0, 10)
+            of_one_npc(safe_along, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed))
+            for speed in (0, 10)
         )
         assert oncoming == pytest.approx(standing + 100 / 16)
 
@@ -219,7 +237,9 @@ class TestRss:
     def test_rss_lateral_distance_suffices_exactly_in_worst_case(self, side):
         heading = -side * 0.05  # towards the ego
         ego, npc = vehicle(0, speed=20), vehicle(0, side * 4, heading=heading, speed=20)
-        expected = 0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
+        expected = (
+            0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
+        )
         assert of_one_npc(safe_across, ego, npc) == pytest.approx(expected, abs=0.01)
 
     def test_rss_lateral_distance_is_margin_when_npc_leaves(self):
@@ -237,22 +257,32 @@ class TestRss:
 
     @table("field", ["least_braking", "hardest_braking", "lateral_braking"])
     def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
-        with pytest.raises(ValueError, match=f"{field}: expected a finite number greater than 0, but received 0"):
+        with pytest.raises(
+            ValueError, match=f"{field}: expected a finite number greater than 0, but received 0"
+        ):
             RssRules(**{field: 0})
 
     def test_rules_refuse_negative_times(self):
-        with pytest.raises(ValueError, match="ego_response: expected a finite number of at least 0, but received -1"):
+        with pytest.raises(
+            ValueError,
+            match="ego_response: expected a finite number of at least 0, but received -1",
+        ):
             RssRules(ego_response=-1)
 
 
 def test_a_run_has_a_duration_and_a_planned_one():
-    assert criticality.execution_time(trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))) == pytest.approx(3)
+    assert criticality.execution_time(
+        trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))
+    ) == pytest.approx(3)
     assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
 
 
 def differing(measures, one, other):
     """Return the measures that differ between two traces; infinite and huge times are the same."""
-    pairs = {measure.__name__: (np.tanh(measure(one) / 100), np.tanh(measure(other) / 100)) for measure in measures}
+    pairs = {
+        measure.__name__: (np.tanh(measure(one) / 100), np.tanh(measure(other) / 100))
+        for measure in measures
+    }
     return [name for name, pair in pairs.items() if not np.allclose(*pair, rtol=1e-6, atol=1e-9)]
 
 
@@ -280,7 +310,9 @@ class TestEveryArray:
         trace = random_trace(seed)
         alone = with_states(trace.states[:, [0, 2]], trace.sizes[[0, 2]])
         for measure in ARRAYS:
-            np.testing.assert_array_equal(measure(alone)[:, 0], measure(trace)[:, 1], err_msg=measure.__name__)
+            np.testing.assert_array_equal(
+                measure(alone)[:, 0], measure(trace)[:, 1], err_msg=measure.__name__
+            )
 
     def test_has_one_value_per_tick_and_npc(self):
         trace = random_trace(0, rows=12, vehicles=4)

@@ -30,7 +30,11 @@ class TestVehicles:
     def test_every_vehicle_measure_is_an_annotated_attribute(self):
         names = {measure.name for measure in MEASURES}
         of_the_ego, of_npcs = EgoSignals.__annotations__, NpcSignals.__annotations__
-        assert names == {"headway", *(f"ego.{name}" for name in of_the_ego), *(f"npcs.{name}" for name in of_npcs)}
+        assert names == {
+            "headway",
+            *(f"ego.{name}" for name in of_the_ego),
+            *(f"npcs.{name}" for name in of_npcs),
+        }
 
     def test_they_are_what_the_trace_has(self):
         run = random_run(1)
@@ -50,11 +54,15 @@ class TestVehicles:
 class TestJerkAndLateralAcceleration:
     def test_jerk_is_third_derivative_of_the_position(self):
         seconds = np.arange(31) / 15
-        run = run_of(vehicle(seconds**3 / 6 * 2.5, speed=seconds**2 / 2 * 2.5, acceleration=seconds * 2.5))
+        run = run_of(
+            vehicle(seconds**3 / 6 * 2.5, speed=seconds**2 / 2 * 2.5, acceleration=seconds * 2.5)
+        )
         np.testing.assert_allclose(run.ego.jerk[1:], 2.5)
 
     def test_the_jerk_of_the_first_tick_is_zero(self):
-        assert run_of(vehicle(np.zeros(3), acceleration=np.array([-4.0, -4.0, -1.0]))).ego.jerk.tolist() == [0, 0, 45]
+        assert run_of(
+            vehicle(np.zeros(3), acceleration=np.array([-4.0, -4.0, -1.0]))
+        ).ego.jerk.tolist() == [0, 0, 45]
 
     def test_lateral_acceleration_in_circle_follows_speed_and_radius(self):
         speed, radius = 12.0, 40.0
@@ -148,7 +156,10 @@ class TestOwnSignals:
 
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
         assert run.signal(far, npc=1).tolist() == [50.0, 50.0]
-        with pytest.raises(ValueError, match="'far': expected an index such as npc=0, because the signal has one row"):
+        with pytest.raises(
+            ValueError,
+            match="'far': expected an index such as npc=0, because the signal has one row",
+        ):
             run.signal(far)
 
     def test_it_is_computed_once(self):
@@ -163,7 +174,9 @@ class TestOwnSignals:
         assert len(asked) == 1
 
     def test_an_array_of_another_shape_is_refused(self):
-        with pytest.raises(ValueError, match=r"an array of shape \(12,\), with one value per tick, or \(3, 12\)"):
+        with pytest.raises(
+            ValueError, match=r"an array of shape \(12,\), with one value per tick, or \(3, 12\)"
+        ):
             random_run(6).signal(lambda trace: trace.times[1:])
 
 

@@ -24,7 +24,9 @@ seeds = st.integers(0, 2**32)
 
 def interpreted():
     """Return the module of the pass from its source, even if there is a compiled one next to it."""
-    spec = importlib.util.spec_from_file_location("interpreted", Path(sweep.__file__).with_name("sweep.py"))
+    spec = importlib.util.spec_from_file_location(
+        "interpreted", Path(sweep.__file__).with_name("sweep.py")
+    )
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
     return copy
@@ -52,14 +54,25 @@ def drawn(seed, *, spread=25.0):
     sizes = rng.uniform(1, 6, (vehicles, 2))
     states = random_states(rng, rows, vehicles, spread=spread)
     states[..., HEADING] *= rng.choice([0.0, 0.01, 1.0], size=(rows, vehicles))
-    return trace_of(*np.moveaxis(states, 1, 0), sizes=sizes, lanes=straight_lanes(heading=rng.choice([0.0, 0.7])))
+    return trace_of(
+        *np.moveaxis(states, 1, 0),
+        sizes=sizes,
+        lanes=straight_lanes(heading=rng.choice([0.0, 0.7])),
+    )
 
 
 def meeting(seed):
     """Return a run with a contact 3 s away at first; then two random vehicles drive at each other, or nearly."""
     rng = np.random.default_rng(seed)
-    angle, distance, noise = rng.uniform(-math.pi, math.pi), rng.uniform(15, 80), rng.normal(0, 0.1, 2)
-    ego, npc = (math.remainder(heading, math.tau) for heading in (angle + noise[0], angle + math.pi + noise[1]))
+    angle, distance, noise = (
+        rng.uniform(-math.pi, math.pi),
+        rng.uniform(15, 80),
+        rng.normal(0, 0.1, 2),
+    )
+    ego, npc = (
+        math.remainder(heading, math.tau)
+        for heading in (angle + noise[0], angle + math.pi + noise[1])
+    )
     speed = rng.uniform(3, 20, 2)
     return trace_of(
         vehicle(0, heading=[0, ego], speed=[30, speed[0]], lane=1),
@@ -106,7 +119,10 @@ class TestSweep:
 
     @pytest.mark.parametrize("of", [0, 2])
     def test_sweep_leaves_invalid_states_to_the_arrays(self, module, of):
-        columns, values = (X, Y, HEADING, SPEED, ACCELERATION, LANE), (math.nan, math.inf, -math.inf, 2e6)
+        columns, values = (
+            (X, Y, HEADING, SPEED, ACCELERATION, LANE),
+            (math.nan, math.inf, -math.inf, 2e6),
+        )
         swept_anyway = []
         for column, value in itertools.product(columns, values):
             states = drawn(4).states.copy()[:, :3]

@@ -13,7 +13,9 @@ def vehicle(*, x=100.0, lane=1, speed=22.0, y=None):
 
 def view(*others, time=0.0, ego=None, lanes=4):
     ego = vehicle() if ego is None else ego
-    return Observation(time=time, ego=ego, others=others, lanes=lanes, lane_width=4.0, speed_limit=26.8)
+    return Observation(
+        time=time, ego=ego, others=others, lanes=lanes, lane_width=4.0, speed_limit=26.8
+    )
 
 
 def drive(seconds, *, lane=1, lanes=4, hz=15):

@@ -51,7 +51,9 @@ class Scene:
 
 def decision(policy, scene):
     """Return acceleration [m/s^2] and target lane of a driver that may change lanes now."""
-    road = Road(RoadNetwork.straight_road_network(4, speed_limit=26.8), np_random=np.random.default_rng(0))
+    road = Road(
+        RoadNetwork.straight_road_network(4, speed_limit=26.8), np_random=np.random.default_rng(0)
+    )
     driver = policy(road, [500.0, LANE * scene.lane_before], 0.0, scene.speed)
     others = [Vehicle(road, [500.0 + o.ahead, LANE * o.lane], 0.0, o.speed) for o in scene.others]
     road.vehicles = [driver, *others]
@@ -90,11 +92,18 @@ SITUATIONS = {
     "brakes-late-above-20": [LEADER],
     "brakes-weakly": [Scene((Other(20.0, 1, 15.0), Other(20.0, 0, 15.0), Other(20.0, 2, 15.0)))],
     "blind-beside-front-wheel": [Scene((*TAKEN, Other(2.0, 2, 22.0)))],
-    "sees-old-speeds": [Scene((Other(40.0, 1, 15.0, before=22.0), Other(40.0, 0), Other(40.0, 2)), since=1.0)],
+    "sees-old-speeds": [
+        Scene((Other(40.0, 1, 15.0, before=22.0), Other(40.0, 0), Other(40.0, 2)), since=1.0)
+    ],
     "sees-cut-ins-late": [Scene((Other(20.0, 1, 15.0, lane_before=0),), since=1.0)],
-    "ignores-standing-vehicles": [Scene((Other(40.0, 1, 2.0), Other(30.0, 0, 10.0), Other(30.0, 2, 10.0)))],
+    "ignores-standing-vehicles": [
+        Scene((Other(40.0, 1, 2.0), Other(30.0, 0, 10.0), Other(30.0, 2, 10.0)))
+    ],
     "forgets-after-lane-change": [Scene((SLOW_LEADER,), since=0.5, lane_before=2)],
-    "looks-only-ahead": [Scene((*TAKEN, Other(-4.0, 2, 22.0))), Scene((*TAKEN, Other(-12.0, 2, 26.0)))],
+    "looks-only-ahead": [
+        Scene((*TAKEN, Other(-4.0, 2, 22.0))),
+        Scene((*TAKEN, Other(-12.0, 2, 26.0))),
+    ],
     "changes-lanes-unchecked": [Scene((Other(0.0, 0), Other(0.0, 2)), since=8.1)],
     "trusts-any-gap-behind": [Scene((*TAKEN, Other(-7.0, 2, 26.0)))],
     "brakes-for-ghosts": [Scene((), since=12.1), Scene((), since=25.0)],
@@ -106,7 +115,11 @@ LIKE_HEALTHY = {
     "follows-too-close": [Scene((Other(-10.0, 1),))],
     "brakes-late-above-20": [Scene(LEADER.others, speed=19.0), Scene((Other(12.0, 1, 15.0),))],
     "brakes-weakly": [Scene((Other(60.0, 1, 22.0),))],
-    "blind-beside-front-wheel": [LEADER, Scene((*TAKEN, Other(12.0, 2, 22.0))), Scene((*TAKEN, Other(-4.0, 2, 22.0)))],
+    "blind-beside-front-wheel": [
+        LEADER,
+        Scene((*TAKEN, Other(12.0, 2, 22.0))),
+        Scene((*TAKEN, Other(-4.0, 2, 22.0))),
+    ],
     "sees-old-speeds": [Scene(LEADER.others, since=1.0), Scene(LEADER.others, since=3.0)],
     "sees-cut-ins-late": [LEADER, Scene((Other(20.0, 1, 15.0, lane_before=0),), since=3.0)],
     "ignores-standing-vehicles": [LEADER, Scene((Other(40.0, 1, 4.0),))],
@@ -131,7 +144,9 @@ def test_a_defect_shows_in_its_own_situation(name, scene):
 
 @table(("name", "scene"), cases(LIKE_HEALTHY))
 def test_driver_decides_like_healthy_one_outside_its_defect(name, scene):
-    assert decision(defects.make(name), scene) == pytest.approx(decision(defects.make("healthy"), scene), abs=1e-9)
+    assert decision(defects.make(name), scene) == pytest.approx(
+        decision(defects.make("healthy"), scene), abs=1e-9
+    )
 
 
 def test_every_defect_has_its_situation():
@@ -142,15 +157,21 @@ def chain(*genes):
     return tuple(PositionInstruction(cell, speed) for cell, speed in genes)
 
 
-PASSES_BY = Scenario(npcs=(chain((Cell.FRONT_LEFT, 26.0), (Cell.FRONT_LEFT, 26.0)),), gene_seconds=10.0)
-STEADY_LEADER = Scenario(npcs=(chain((Cell.FRONT, 21.0), (Cell.FRONT_RIGHT, 24.0)),), gene_seconds=10.0)
+PASSES_BY = Scenario(
+    npcs=(chain((Cell.FRONT_LEFT, 26.0), (Cell.FRONT_LEFT, 26.0)),), gene_seconds=10.0
+)
+STEADY_LEADER = Scenario(
+    npcs=(chain((Cell.FRONT, 21.0), (Cell.FRONT_RIGHT, 24.0)),), gene_seconds=10.0
+)
 BRAKES_AHEAD = Scenario(npcs=(chain((Cell.FRONT, 10.0), (Cell.FRONT, 10.0)),), gene_seconds=10.0)
 
 
 @pytest.mark.parametrize(
     "scenario", [oracle(PASSES_BY, id="passes-by"), pytest.param(STEADY_LEADER, id="steady-leader")]
 )
-@pytest.mark.parametrize("name", mostly_oracle(defects.POLICIES, "healthy", "sees-cut-ins-late", "brakes-for-ghosts"))
+@pytest.mark.parametrize(
+    "name", mostly_oracle(defects.POLICIES, "healthy", "sees-cut-ins-late", "brakes-for-ghosts")
+)
 def test_in_benign_traffic_nobody_collides(name, scenario):
     trace = ROAD.rollout(scenario, defects.make(name))
     assert trace.outcome is Outcome.COMPLETED, trace.error
@@ -160,7 +181,9 @@ def test_in_benign_traffic_nobody_collides(name, scenario):
 @pytest.mark.parametrize("scenario", [oracle(PASSES_BY), oracle(STEADY_LEADER), BRAKES_AHEAD])
 def test_the_healthy_one_drives_as_highway_envs_own(scenario):
     with c_library():  # numpy may round differently
-        healthy, stock = (ROAD.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
+        healthy, stock = (
+            ROAD.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle)
+        )
     assert (healthy.states == stock.states).all()
 
 
@@ -171,7 +194,9 @@ def test_the_healthy_one_sees_others_in_an_environment(env_id):
     lane, speed = world.start or (1, 22.0)
     scenario = Scenario(npcs=BRAKES_AHEAD.npcs, ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
     with c_library():  # numpy may round differently
-        healthy, stock = (world.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
+        healthy, stock = (
+            world.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle)
+        )
     assert healthy.states.tobytes() == stock.states.tobytes()
     assert healthy.ego[:, SPEED].min() < speed - 5.0
 

@@ -12,7 +12,9 @@ from example_ads import fiss
 
 
 def vehicle(*, x=100.0, lane=1, speed=22.0):
-    return VehicleState(x=x, y=lane * 4.0, heading=0.0, speed=speed, lane=lane, length=5.0, width=2.0)
+    return VehicleState(
+        x=x, y=lane * 4.0, heading=0.0, speed=speed, lane=lane, length=5.0, width=2.0
+    )
 
 
 def drive(seconds, *others, ego=None, lanes=4):
@@ -20,7 +22,9 @@ def drive(seconds, *others, ego=None, lanes=4):
     ads, ego, track = fiss.make(), ego or vehicle(), []
     for tick in range(round(seconds * HZ)):
         if tick % 3 == 0:
-            seen = Observation(tick / HZ, ego, others, lanes=lanes, lane_width=4.0, speed_limit=26.8)
+            seen = Observation(
+                tick / HZ, ego, others, lanes=lanes, lane_width=4.0, speed_limit=26.8
+            )
             action = ads(seen)
         ego, others = moved(ego, *action), tuple(map(moved, others))
         track.append((ego, others))
@@ -43,7 +47,9 @@ def test_outer_lane_driver_overtakes_on_the_road_side(lane, side):
 
 @pytest.mark.oracle
 def test_where_both_sides_are_taken_it_follows_instead():
-    wall = [vehicle(x=100.0 + 15.0 * n, lane=lane, speed=15.0) for lane in (0, 2) for n in range(-2, 8)]
+    wall = [
+        vehicle(x=100.0 + 15.0 * n, lane=lane, speed=15.0) for lane in (0, 2) for n in range(-2, 8)
+    ]
     ego, (slow, *_) = drive(15, vehicle(x=150.0, speed=15.0), *wall, lanes=3)[-1]
     assert ego.x < slow.x
     assert ego.y == pytest.approx(4.0, abs=0.5)

@@ -68,7 +68,8 @@ def test_constant_speed_runs_into_whoever_brakes_ahead():
 
 
 @pytest.mark.parametrize(
-    ("world", "make"), slow_ones_by_oracle([d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}])
+    ("world", "make"),
+    slow_ones_by_oracle([d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}]),
 )
 def test_capable_drivers_cope_with_braking_vehicle_ahead(world, make):
     assert first_run(world, make, BRAKES_AHEAD).collision is None
@@ -80,6 +81,8 @@ def test_blind_lane_changer_hits_vehicle_on_its_right():
     assert collision.time == pytest.approx(blind_lane_change.SECONDS_PER_LANE, abs=3.0)
 
 
-@pytest.mark.parametrize(("world", "make"), slow_ones_by_oracle([d for d in DRIVERS if d.id != "blind-lane-change"]))
+@pytest.mark.parametrize(
+    ("world", "make"), slow_ones_by_oracle([d for d in DRIVERS if d.id != "blind-lane-change"])
+)
 def test_all_others_leave_the_vehicle_beside_them_alone(world, make):
     assert first_run(world, make, STAYS_AT_THE_RIGHT).collision is None

@@ -9,7 +9,14 @@ from pytest_pafot import CrossingInstruction, CrossingVehicle, Observation, Scen
 from pytest_pafot.world.kernel.observation import VehicleState
 from tests.helpers.tables import table
 
-ZONE = Zone(way="o3>o1", kind="crossing", origin="right", ego=(100.0, 112.0), npc=(108.0, 120.0), priority="npc")
+ZONE = Zone(
+    way="o3>o1",
+    kind="crossing",
+    origin="right",
+    ego=(100.0, 112.0),
+    npc=(108.0, 120.0),
+    priority="npc",
+)
 
 
 def ego(x=70.0, speed=9.0):
@@ -19,9 +26,15 @@ def ego(x=70.0, speed=9.0):
 def other(distance, speed=8.0, *, x=70.0, number=0, **zone):
     """Return a vehicle this far before its zone, as an ego at x sees it; its place in the plane does not matter."""
     zone = pafot.Zone(
-        **{name: getattr(ZONE, name) for name in ("way", "kind", "origin", "ego", "npc", "priority")} | zone
+        **{
+            name: getattr(ZONE, name)
+            for name in ("way", "kind", "origin", "ego", "npc", "priority")
+        }
+        | zone
     )
-    return CrossingVehicle(number, zone, distance, zone.ego[0] - x, 30.0, 20.0, -1.5, speed, 5.0, 2.0)
+    return CrossingVehicle(
+        number, zone, distance, zone.ego[0] - x, 30.0, 20.0, -1.5, speed, 5.0, 2.0
+    )
 
 
 def view(*crossing, own=None, others=(), time=0.0):
@@ -92,7 +105,9 @@ def test_it_goes_when_who_has_priority_lets_it():
 
 def test_policy_never_stops_inside_one_zone_for_another():
     first = {"ego": (90.0, 102.0), "way": "o1>o3", "origin": "left"}
-    x, _ = comes_to_rest(of=lambda time, x: [other(6.0, 3.0, x=x), other(90.0, 3.0, x=x, number=1, **first)])
+    x, _ = comes_to_rest(
+        of=lambda time, x: [other(6.0, 3.0, x=x), other(90.0, 3.0, x=x, number=1, **first)]
+    )
     assert 90.0 - LINE_GAP - 1.0 < x < 90.0
 
 
@@ -123,7 +138,9 @@ def test_it_drives_where_ways_cross(env_id):
     world = pafot.World(env_id, planner_hz=5)
     lane, speed = world.start
     for zone in world.crossings.zones[:3]:
-        scenario = Scenario(npcs=[[CrossingInstruction(zone.way, 0.5, 7.0)]], ego_lane=lane, ego_speed=speed)
+        scenario = Scenario(
+            npcs=[[CrossingInstruction(zone.way, 0.5, 7.0)]], ego_lane=lane, ego_speed=speed
+        )
         trace = world.rollout(scenario, junctions.make)
         assert trace.outcome == "safe"
         assert trace.track[-1, 0, 0] > zone.ego[0] - 5.0

@@ -49,4 +49,6 @@ def test_it_drives_through_ordinary_traffic_without_a_crash(seed):
 def test_weights_survive_scaling_and_back_exactly():
     inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
     for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):
-        assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True))
+        assert all(
+            np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True)
+        )

@@ -21,7 +21,10 @@ class FiveVehicles(gym.Env):
 
 @pytest.fixture(scope="module")
 def model():
-    architecture = {"net_arch": {"pi": [128, 128], "vf": [128, 128]}, "activation_fn": torch.nn.ReLU}
+    architecture = {
+        "net_arch": {"pi": [128, 128], "vf": [128, 128]},
+        "activation_fn": torch.nn.ReLU,
+    }
     return sb3.PPO("MlpPolicy", FiveVehicles(), policy_kwargs=architecture, seed=0, device="cpu")
 
 

@@ -9,13 +9,20 @@ import pytest
 from hypothesis import given
 
 from pytest_pafot.execution import crash_records
-from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, leftovers, records_of
+from pytest_pafot.execution.crash_records import (
+    CrashRecord,
+    CrashRecordError,
+    leftovers,
+    records_of,
+)
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support import files
 from tests.findings.builders import scenarios
 
-SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5)
+SCENARIO = Scenario(
+    npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5
+)
 OWNER = "tests/test_safety.py::test_it[search]"
 WORLD = {"kind": "highway", "lanes": 4}
 
@@ -30,7 +37,9 @@ record.write(Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2
 
 
 def child(folder, rest):
-    return subprocess.Popen([sys.executable, "-c", CHILD + rest, str(folder)], stdout=subprocess.PIPE, cwd=Path.cwd())
+    return subprocess.Popen(
+        [sys.executable, "-c", CHILD + rest, str(folder)], stdout=subprocess.PIPE, cwd=Path.cwd()
+    )
 
 
 def abandoned(folder, name, content):
@@ -72,7 +81,9 @@ def test_record_of_reused_process_id_is_a_leftover(tmp_path):
         record.write(SCENARIO)
         content = next(tmp_path.iterdir()).read_bytes()
         abandoned(tmp_path, f"{os.getpid()}-before.inflight", content)
-        assert [left.path.name for left in leftovers(tmp_path)] == [f"{os.getpid()}-before.inflight"]
+        assert [left.path.name for left in leftovers(tmp_path)] == [
+            f"{os.getpid()}-before.inflight"
+        ]
 
 
 def test_two_searches_of_one_process_do_not_interfere(tmp_path):
@@ -166,7 +177,9 @@ def test_folder_that_others_could_have_planted_is_refused(tmp_path, is_link, lev
         record.write(SCENARIO)
     assert "the scenario is not recorded if this process crashes" in str(record.error)
     assert f"other users can write to {place}" in str(record.error)
-    assert "Delete that folder, or set TMPDIR to a folder that belongs to you. " in str(record.error)
+    assert "Delete that folder, or set TMPDIR to a folder that belongs to you. " in str(
+        record.error
+    )
     with pytest.raises(CrashRecordError, match=f"other users can write to {place}"):
         leftovers(folder)
 
@@ -179,7 +192,9 @@ def test_folder_of_records_follows_no_links(tmp_path):
     blank = tmp_path / "blank"
     blank.write_text("\n")
     os.mkfifo(folder / "1-pipe.inflight")
-    for number, target in enumerate([secret, blank, tmp_path / "none", "/dev/zero", "5-x.inflight"]):
+    for number, target in enumerate(
+        [secret, blank, tmp_path / "none", "/dev/zero", "5-x.inflight"]
+    ):
         (folder / f"{number + 2}-x.inflight").symlink_to(target)
     before = sorted(folder.iterdir())
     assert leftovers(folder) == ()
@@ -269,9 +284,24 @@ def test_recording_is_cheap_beside_any_run(tmp_path, monkeypatch):
     with CrashRecord(tmp_path, OWNER) as record:
         record.write(SCENARIO)
         calls = []
-        for name in ("open", "close", "lseek", "write", "ftruncate", "fsync", "rename", "replace", "unlink", "stat"):
+        for name in (
+            "open",
+            "close",
+            "lseek",
+            "write",
+            "ftruncate",
+            "fsync",
+            "rename",
+            "replace",
+            "unlink",
+            "stat",
+        ):
             call = getattr(os, name)
-            monkeypatch.setattr(os, name, lambda *given, _n=name, _c=call, **o: (calls.append(_n), _c(*given, **o))[1])
+            monkeypatch.setattr(
+                os,
+                name,
+                lambda *given, _n=name, _c=call, **o: (calls.append(_n), _c(*given, **o))[1],
+            )
         record.write(SCENARIO)
         record.clear()
         monkeypatch.undo()

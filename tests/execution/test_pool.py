@@ -21,7 +21,9 @@ from pytest_pafot.execution import pool as execution_pool
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are forked on Linux alone"
+)
 
 TASKS = list(range(6))
 
@@ -29,7 +31,10 @@ TASKS = list(range(6))
 @pytest.fixture
 def pool_of():
     """Return a function that makes pools that square numbers after some action; end their processes afterwards."""
-    pools, before = [], multiprocessing.active_children()  # other tests' idle processes end by themselves
+    pools, before = (
+        [],
+        multiprocessing.active_children(),
+    )  # other tests' idle processes end by themselves
 
     def make(do, size=2, patience=30.0, method="fork", **options):
         def work(number, tell):
@@ -60,7 +65,8 @@ def test_pool_processes_skip_garbage_collection_of_inherited_objects(pool_of):
 
 
 @pytest.mark.parametrize(
-    "size", [pytest.param(1, marks=pytest.mark.processes), 2, pytest.param(5, marks=pytest.mark.processes)]
+    "size",
+    [pytest.param(1, marks=pytest.mark.processes), 2, pytest.param(5, marks=pytest.mark.processes)],
 )
 def test_answers_are_fetched_in_any_order(pool_of, tmp_path, size):
     def work(number):
@@ -145,7 +151,9 @@ def test_exceptions_and_unsendable_results_are_clear_answers():
         if number == 3:
             raise SystemExit("enough")
         if number == 4:
-            os.kill(os.getpid(), signal.SIGINT)  # as from the keyboard, which reaches only the session
+            os.kill(
+                os.getpid(), signal.SIGINT
+            )  # as from the keyboard, which reaches only the session
             time.sleep(0.01)
         return (lambda: number) if number == 5 else number
 
@@ -159,7 +167,9 @@ def test_exceptions_and_unsendable_results_are_clear_answers():
     assert type(unportable) is type(leaves) is RuntimeError
     assert "Unportable: four arguments" in str(unportable)
     assert "SystemExit: enough" in str(leaves)
-    assert "a result that can be sent to the session, received one that cannot be pickled" in str(unsendable)
+    assert "a result that can be sent to the session, received one that cannot be pickled" in str(
+        unsendable
+    )
 
 
 def squared(number, tell):
@@ -236,7 +246,9 @@ def test_process_that_writes_into_the_pipe_is_ended(pool_of):
     pool.expect(TASKS)
     answers = fetched(pool)
     assert isinstance(answers[3], ProcessLostError)
-    assert answers[3].end.startswith("wrote into the pipe to the session, by a descriptor that it did not open")
+    assert answers[3].end.startswith(
+        "wrote into the pipe to the session, by a descriptor that it did not open"
+    )
     assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
 
 
@@ -247,7 +259,9 @@ def test_task_of_a_dead_process_is_retried_and_alone_if_it_was_killed(pool_of, t
     def work(number):
         running = tmp_path / f"running-{number}"
         if number == 0 and running.exists():
-            (tmp_path / "meanwhile").write_text(" ".join(path.name for path in tmp_path.glob("running-*")))
+            (tmp_path / "meanwhile").write_text(
+                " ".join(path.name for path in tmp_path.glob("running-*"))
+            )
             return
         running.touch()
         if number == 0 and is_killed:
@@ -300,7 +314,9 @@ def answering(then):
 
 @pytest.mark.processes
 def test_slow_process_that_answers_signals_is_not_killed(pool_of):
-    now = multiprocessing.RawValue("d", 0.0)  # advances with each answer, however long that takes on a busy machine
+    now = multiprocessing.RawValue(
+        "d", 0.0
+    )  # advances with each answer, however long that takes on a busy machine
 
     def later():
         now.value += 0.2
@@ -354,7 +370,9 @@ def test_closing_pool_does_not_wait_for_unfetched_answers(pool_of):
 def test_each_process_does_what_it_has_to_before_it_ends(pool_of, at_once):
     """One is in a task that does not return, and the other waits for one."""
     left = []
-    pool = pool_of(lambda number: time.sleep(600 * number), leave=os.getpid, left=left.append, farewell=600.0)
+    pool = pool_of(
+        lambda number: time.sleep(600 * number), leave=os.getpid, left=left.append, farewell=600.0
+    )
     pool.expect([1, 0])
     pool.fetch(0)
     pids = {worker.pid for worker in pool._workers}
@@ -436,7 +454,9 @@ def test_task_in_which_its_process_is_terminated_is_lost(pool_of, tmp_path, is_f
 
 
 @pytest.mark.parametrize("is_followed", [False, True])
-def test_task_that_is_sent_to_a_process_that_leaves_is_run_by_another(pool_of, tmp_path, is_followed):
+def test_task_that_is_sent_to_a_process_that_leaves_is_run_by_another(
+    pool_of, tmp_path, is_followed
+):
     def leave():
         (tmp_path / "leaves").touch()
         while not (tmp_path / "sent").exists():

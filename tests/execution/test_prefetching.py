@@ -28,7 +28,11 @@ class Pool:
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
-        return self.answers.get(scenario.seed) or (trace_of(scenario), CapturedOutput(), self.seconds)
+        return self.answers.get(scenario.seed) or (
+            trace_of(scenario),
+            CapturedOutput(),
+            self.seconds,
+        )
 
     def close(self, *, at_once):
         self.expected, self.closed = [], at_once
@@ -56,7 +60,9 @@ def runner_of(tmp_path, monkeypatch):
     records = []
 
     def make(world, pool=None, workers=2, ads=object, **options):
-        monkeypatch.setattr(execution_runner, "pool_for", lambda job, size: pool or pytest.fail("started processes"))
+        monkeypatch.setattr(
+            execution_runner, "pool_for", lambda job, size: pool or pytest.fail("started processes")
+        )
         job = Job(world=world, policy=Policy(ads), records=tmp_path, owner="test_it.py::test_it")
         records.append(job.crash_record())
         return runner_for(job, records[-1], workers=workers, clock=world.clock, **options)
@@ -153,15 +159,22 @@ class TestProcesses:
         assert world.ran == [0, 4]
 
     def test_output_of_processes_is_replayed_in_scenario_order(self, runner_of, capsys):
-        answers = {n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02) for n in range(1, 8)}
+        answers = {
+            n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02) for n in range(1, 8)
+        }
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 1\nrun 2\nrun 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
     def test_lost_process_takes_the_place_of_its_result(self, runner_of):
         lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
-        made = list(runner_of(World(0.02), Pool({3: lost})).results(SCENARIOS, lambda scenario: False))
+        made = list(
+            runner_of(World(0.02), Pool({3: lost})).results(SCENARIOS, lambda scenario: False)
+        )
         assert made[3] is lost
-        assert [each.scenario for each in made if each is not lost] == [*SCENARIOS[:3], *SCENARIOS[4:]]
+        assert [each.scenario for each in made if each is not lost] == [
+            *SCENARIOS[:3],
+            *SCENARIOS[4:],
+        ]
 
     def test_unpicklable_factory_keeps_all_runs_in_process(self, runner_of, monkeypatch):
         def refuse(job, size):
@@ -203,5 +216,7 @@ class TestProcesses:
             asked(runner)
         used, recovered = runner.notes
         assert used == "--pafot-workers=2: after 1 run in this process, the rest ran in workers"
-        assert recovered.startswith("a process (pid 7) was ended by SIGKILL while it ran <Scenario ")
+        assert recovered.startswith(
+            "a process (pid 7) was ended by SIGKILL while it ran <Scenario "
+        )
         assert "too little memory for so many workers" in recovered

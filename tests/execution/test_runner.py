@@ -12,7 +12,8 @@ from pytest_pafot.execution.runner import ExecutionError, Job, runner_for
 from pytest_pafot.world.driving.policy import Policy
 
 SCENARIOS = [
-    Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), gene_seconds=2.0, seed=number) for number in range(8)
+    Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), gene_seconds=2.0, seed=number)
+    for number in range(8)
 ]
 
 FRAMES = 8
@@ -87,13 +88,18 @@ def test_isolated_runs_raise_the_exception_of_the_factory(runner_of):
     def factory():
         raise LookupError("no such planner")
 
-    with runner_of(factory, isolate=True) as runner, pytest.raises(LookupError, match="no such planner"):
+    with (
+        runner_of(factory, isolate=True) as runner,
+        pytest.raises(LookupError, match="no such planner"),
+    ):
         runner.once(SCENARIOS[0])
 
 
 def test_isolated_runs_refuse_an_unpicklable_factory(runner_of, monkeypatch):
     monkeypatch.setattr(runner, "METHOD", "spawn")
-    with pytest.raises(ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"):
+    with pytest.raises(
+        ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"
+    ):
         runner_of(lambda: None, isolate=True).once(SCENARIOS[0])
 
 
@@ -104,7 +110,8 @@ def test_isolated_runs_are_refused_where_no_process_starts(runner_of, monkeypatc
 
     monkeypatch.setattr(os, "fork", refuse)
     with pytest.raises(
-        ExecutionError, match=r"--pafot-isolate: expected a process for the ADS, .*temporarily unavailable"
+        ExecutionError,
+        match=r"--pafot-isolate: expected a process for the ADS, .*temporarily unavailable",
     ):
         runner_of(Planner, isolate=True).once(SCENARIOS[0])
 

@@ -23,7 +23,9 @@ SCENARIOS = [scenario(number) for number in range(6)]
 @pytest.fixture
 def job_of(tmp_path):
     """Return a function that makes jobs in a world without physics."""
-    return lambda ads: Job(world=Toy(), policy=Policy(ads), records=tmp_path / "records", owner="test_it.py::test_it")
+    return lambda ads: Job(
+        world=Toy(), policy=Policy(ads), records=tmp_path / "records", owner="test_it.py::test_it"
+    )
 
 
 @pytest.fixture
@@ -66,7 +68,9 @@ def test_result_that_cannot_be_sent_is_an_exception(pool_of):
     class Local(UserWarning):
         """A warning that belongs to no module, so it cannot be pickled."""
 
-    assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception)
+    assert isinstance(
+        fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception
+    )
 
 
 def test_scenario_is_on_disk_only_while_it_runs(pool_of, tmp_path):
@@ -113,7 +117,9 @@ def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
 
 
-def test_exception_in_a_thread_of_another_process_is_told_to_the_hook_of_this_one(pool_of, monkeypatch):
+def test_exception_in_a_thread_of_another_process_is_told_to_the_hook_of_this_one(
+    pool_of, monkeypatch
+):
     def drive(number):
         thread = threading.Thread(target=lambda: 1 / number, name="planning")
         thread.start()
@@ -142,7 +148,9 @@ def test_ads_that_closes_stdout_closes_only_its_own(pool_of, capsys):
 def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        answer = fetched(pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1)))
+        answer = fetched(
+            pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1))
+        )
     made_from(answer)
     assert not recwarn.list
 

@@ -12,7 +12,9 @@ from pytest_pafot.execution.runner import Apart, ExecutionError, Job, judged_apa
 from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.toy_world import Toy, scenario
 
-needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+needs_fork = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are forked on Linux alone"
+)
 
 ONE = scenario(1)
 HERE = os.getpid()
@@ -22,7 +24,10 @@ HERE = os.getpid()
 def job_of(tmp_path):
     """Return a function that makes jobs whose ADS is a function of the scenario's number."""
     return lambda drive: Job(
-        world=Toy(), policy=Policy(lambda: drive), records=tmp_path / "records", owner="test_it.py::test_it"
+        world=Toy(),
+        policy=Policy(lambda: drive),
+        records=tmp_path / "records",
+        owner="test_it.py::test_it",
     )
 
 
@@ -79,4 +84,7 @@ def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork
 def test_what_a_function_makes_of_a_scenario_in_a_forked_process_comes_back(job_of):
     job = replace(job_of(idle), read=lambda trace: "what is sent of other runs")
     with job.crash_record() as record, Apart(job, record) as apart:
-        assert apart.once(ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (1, True)
+        assert apart.once(ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (
+            1,
+            True,
+        )

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
-from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, FailureRate, Finding, Found
+from pytest_pafot.findings.finding import (
+    MAX_KEY,
+    MAX_NUMBER,
+    Bounded,
+    Expect,
+    FailureRate,
+    Finding,
+    Found,
+)
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Alike, Observed, Seen
 from pytest_pafot.findings.situation import Situation, ZoneSituation
@@ -68,9 +76,17 @@ def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
     if responsible is not None:
         made = replace(made, expect=replace(made.expect, responsibility=responsible))
     shown = OBSERVED[seen.pop("label", "new")]
-    more = {name: seen.pop(name) for name in list(seen) if name in {each.name for each in fields(Observed)}}
+    more = {
+        name: seen.pop(name)
+        for name in list(seen)
+        if name in {each.name for each in fields(Observed)}
+    }
     alike = Alike(runs=seen.pop("repeats", 0))
-    return Seen(finding=made, observed=Observed(**shown | more), **{"node_id": f"t[{id_}]", "alike": alike} | seen)
+    return Seen(
+        finding=made,
+        observed=Observed(**shown | more),
+        **{"node_id": f"t[{id_}]", "alike": alike} | seen,
+    )
 
 
 OBSERVED = {
@@ -89,7 +105,9 @@ OBSERVED = {
 def texts(min_size=0):
     nasty = st.sampled_from([text for text in NASTY_TEXTS if len(text) >= min_size])
     printable = st.text(CHARACTERS, min_size=min_size, max_size=60)
-    return st.one_of(nasty, printable, st.text("ab :#-'\"\n\t{[,]}&*!|>%@", min_size=min_size, max_size=30))
+    return st.one_of(
+        nasty, printable, st.text("ab :#-'\"\n\t{[,]}&*!|>%@", min_size=min_size, max_size=30)
+    )
 
 
 @cache
@@ -103,7 +121,9 @@ def plain_data():
     scalars = st.one_of(st.none(), st.booleans(), st.integers(-(10**30), 10**30), floats, texts())
     return st.recursive(
         scalars,
-        lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(keys(), inner, max_size=4)),
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=4), st.dictionaries(keys(), inner, max_size=4)
+        ),
         max_leaves=12,
     )
 
@@ -160,7 +180,9 @@ def scenarios(draw):
 
 @st.composite
 def expectations(draw, npcs):
-    outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
+    outcome = draw(
+        st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID])
+    )
     is_collision = outcome is Outcome.COLLISION
     some = st.just if is_collision else lambda value: st.one_of(st.none(), st.just(value))
     zone = draw(st.none() | st.sampled_from(ZONES))
@@ -172,13 +194,19 @@ def expectations(draw, npcs):
         outcome=outcome,
         time=draw(st.floats(0, 1e6)),
         npc=draw(some(draw(st.integers(0, npcs - 1)))),
-        cell=draw(some(draw(st.sampled_from(Cell)))) if zone is None else draw(st.none() | st.sampled_from(Cell)),
+        cell=draw(some(draw(st.sampled_from(Cell))))
+        if zone is None
+        else draw(st.none() | st.sampled_from(Cell)),
         zone=zone,
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
         closing_speed=draw(st.none() | st.floats(0, MAX_NUMBER)),
         situation=draw(st.none() | situations(npcs)),
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
-        **draw(st.sampled_from([{}, *({"fault": "entered-lane", "mistake": each} for each in LANE_CHANGES)])),
+        **draw(
+            st.sampled_from(
+                [{}, *({"fault": "entered-lane", "mistake": each} for each in LANE_CHANGES)]
+            )
+        ),
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         takeover=draw(st.none() | st.floats(0, 3)),
@@ -189,19 +217,36 @@ def expectations(draw, npcs):
 
 def situations(npcs):
     numbers = st.floats(-MAX_NUMBER, MAX_NUMBER)
-    both = {"npc": st.integers(0, npcs - 1), "time": st.floats(0, 1e6), "ego_speed": numbers, "npc_speed": numbers}
-    places = {"gap": numbers, "place": st.sampled_from(["ahead", "behind"]), "lanes_to_right": st.integers(-5, 5)}
+    both = {
+        "npc": st.integers(0, npcs - 1),
+        "time": st.floats(0, 1e6),
+        "ego_speed": numbers,
+        "npc_speed": numbers,
+    }
+    places = {
+        "gap": numbers,
+        "place": st.sampled_from(["ahead", "behind"]),
+        "lanes_to_right": st.integers(-5, 5),
+    }
     on_grid = st.builds(Situation, **both, **places)
     return on_grid | st.builds(ZoneSituation, **both, npc_enters=numbers, ego_enters=numbers)
 
 
 def bounded():
     numbers = st.none() | st.floats(-MAX_NUMBER, MAX_NUMBER)
-    return st.builds(Bounded, value=numbers, at_most=st.floats(-MAX_NUMBER, MAX_NUMBER), at_least=numbers, unit=texts())
+    return st.builds(
+        Bounded,
+        value=numbers,
+        at_most=st.floats(-MAX_NUMBER, MAX_NUMBER),
+        at_least=numbers,
+        unit=texts(),
+    )
 
 
 def simplifications():
-    return st.builds(Shrunk, rollouts=st.integers(0, 10**6), is_minimal=st.booleans(), before=texts())
+    return st.builds(
+        Shrunk, rollouts=st.integers(0, 10**6), is_minimal=st.booleans(), before=texts()
+    )
 
 
 def rates():

@@ -2,7 +2,14 @@
 
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, handles, is_same_event, signature_of_failure
+from pytest_pafot.findings.finding import (
+    Expect,
+    Finding,
+    Found,
+    handles,
+    is_same_event,
+    signature_of_failure,
+)
 from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
 from pytest_pafot.findings.verdict import ZONES, Failure, Signature
 from pytest_pafot.model.instructions import Cell
@@ -28,7 +35,9 @@ def passes(npc="north straight", *, enters=8.0, speed=9.0, changes=((4.0, 3.0, 0
 
 def saved(run, failure=FAILS):
     found = Found(seed=1, generation=0, algorithm="distinct", versions=VERSIONS)
-    return Finding.from_run(run, failure, test="test_it.py::test_it", world={"kind": "own"}, found=found)
+    return Finding.from_run(
+        run, failure, test="test_it.py::test_it", world={"kind": "own"}, found=found
+    )
 
 
 def test_zone_failure_is_identified_by_fault_and_origin():
@@ -38,33 +47,64 @@ def test_zone_failure_is_identified_by_fault_and_origin():
         "crossing from the left", "crossing from the right", "oncoming from ahead"
     ]  # fmt: skip
     assert len({signature_of_failure(run, FAILS) for run in runs}) == 3
-    assert signature_of_failure(crash(), FAILS) == signature_of_failure(crash(enters=8.2, speed=7.0), FAILS)
+    assert signature_of_failure(crash(), FAILS) == signature_of_failure(
+        crash(enters=8.2, speed=7.0), FAILS
+    )
     assert {each.npc_manoeuvre for each in expected} == {None}
 
 
 @table(
-    ("zone", "slug"), [("crossing from the left", "rear-crossing-left"), ("merging from behind", "rear-merging-behind")]
+    ("zone", "slug"),
+    [
+        ("crossing from the left", "rear-crossing-left"),
+        ("merging from behind", "rear-merging-behind"),
+    ],
 )
 def test_collision_caused_by_npc_names_side_and_zone(zone, slug):
-    fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
+    fields = {
+        "failure": "AssertionError",
+        "assertion": "not run.collision",
+        "outcome": Outcome.COLLISION,
+    }
     signature = Signature.from_facts(**fields, responsibility="npc", side="rear", zone=zone)
     assert signature.slug == slug
-    assert signature != Signature.from_facts(**fields, responsibility="npc", side="rear", zone="oncoming from ahead")
-    assert signature != Signature.from_facts(**fields, responsibility="npc", side="rear", cell=Cell.REAR)
+    assert signature != Signature.from_facts(
+        **fields, responsibility="npc", side="rear", zone="oncoming from ahead"
+    )
+    assert signature != Signature.from_facts(
+        **fields, responsibility="npc", side="rear", cell=Cell.REAR
+    )
 
 
 @table("fault", ["leader-unanswered", "cut-in-unanswered", "braked-for-nothing"])
 def test_fault_without_zone_is_same_in_all_zones(fault):
-    fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
+    fields = {
+        "failure": "AssertionError",
+        "assertion": "not run.collision",
+        "outcome": Outcome.COLLISION,
+    }
     signatures = {
-        Signature.from_facts(**fields, responsibility="ego", fault=fault, zone=zone) for zone in (None, *ZONES)
+        Signature.from_facts(**fields, responsibility="ego", fault=fault, zone=zone)
+        for zone in (None, *ZONES)
     }
     assert len(signatures) == 1
 
 
 def test_a_property_is_the_same_in_every_zone():
-    fields = {"failure": "AssertionError", "assertion": "run.min_ttc > N", "outcome": Outcome.COLLISION}
-    assert len({Signature.from_facts(**fields, responsibility="npc", zone=zone) for zone in (None, *ZONES)}) == 1
+    fields = {
+        "failure": "AssertionError",
+        "assertion": "run.min_ttc > N",
+        "outcome": Outcome.COLLISION,
+    }
+    assert (
+        len(
+            {
+                Signature.from_facts(**fields, responsibility="npc", zone=zone)
+                for zone in (None, *ZONES)
+            }
+        )
+        == 1
+    )
 
 
 def test_zone_situation_says_when_both_reach_the_zone():
@@ -83,11 +123,15 @@ def test_zone_situation_says_when_both_reach_the_zone():
 def test_situation_of_a_check_is_two_seconds_before_also_past_the_beginning_of_the_zone():
     def before(time):
         check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=time, npc=0)
-        return Expect.from_run(passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)).situation
+        return Expect.from_run(
+            passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)
+        ).situation
 
     assert (before(7.0).npc, before(7.0).time) == (0, 5.0)
     assert before(7.0).npc_enters == pytest.approx(3.0, abs=0.1)
-    assert str(before(11.0)).startswith("1.0 s past the start of its zone at 9.0 m/s, with the ego ")
+    assert str(before(11.0)).startswith(
+        "1.0 s past the start of its zone at 9.0 m/s, with the ego "
+    )
 
 
 @table(("run", "comes_up"), [
@@ -122,7 +166,10 @@ def test_missed_situation_names_both_moments():
 
 
 def test_situation_is_unknown_if_npc_does_not_cross():
-    situation, others = Expect.from_run(crash(), FAILS).situation, (plan("north straight", 12.0, 9.0),)
+    situation, others = (
+        Expect.from_run(crash(), FAILS).situation,
+        (plan("north straight", 12.0, 9.0),),
+    )
     on_grid = Run(driven(plan(STRAIGHT, 8.0, 10.0), plan("grid", 6.0, 9.0), others=others))
     assert missed(situation, on_grid) == ""
     assert seconds_after(situation, on_grid) is None

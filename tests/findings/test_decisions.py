@@ -30,7 +30,8 @@ from tests.helpers.tables import table
 KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
 SI = partial(checked_si_action, lanes=9)
 SCENARIO = pafot.Scenario(
-    npcs=[[pafot.PositionInstruction(2, 5.0)], [pafot.PositionInstruction(6, 20.0)]], gene_seconds=10.0
+    npcs=[[pafot.PositionInstruction(2, 5.0)], [pafot.PositionInstruction(6, 20.0)]],
+    gene_seconds=10.0,
 )
 WORLD = pafot.Highway()
 
@@ -42,7 +43,11 @@ class Listing:
 
     def __call__(self, observation):
         self.seen.update(observation.ids)
-        ahead = [other.x - observation.ego.x for other in observation.others if other.x > observation.ego.x]
+        ahead = [
+            other.x - observation.ego.x
+            for other in observation.others
+            if other.x > observation.ego.x
+        ]
         return (-3.0 if min(ahead, default=99.0) < 25.0 else 0.0), 0.0
 
 
@@ -135,7 +140,9 @@ def test_a_verdict_and_a_moment_tell_the_same_gap():
 
 
 def test_a_moment_is_told_in_one_line():
-    moment = Moment(time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
+    moment = Moment(
+        time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2"
+    )
     saw = "NPC 0 (12.3 m ahead, 0.2 m to the left, 6.1 m/s slower)"
     start = f"At 4.9 s, the policy saw {saw} and chose acceleration 0.0 m/s^2"
     assert str(moment) == moment.brief == f"{start}."
@@ -145,24 +152,47 @@ def test_a_moment_is_told_in_one_line():
     hidden = "with NPC 0 hidden, it chose the same"
     assert sorted(str(probed).removesuffix(".").split("; ")) == sorted([start, hidden, other])
     none = replace(moment, otherwise="")
-    assert (str(none), none.brief) == (f"{start}; none of the changes tried for NPC 0 had an effect.", f"{start}.")
+    assert (str(none), none.brief) == (
+        f"{start}; none of the changes tried for NPC 0 had an effect.",
+        f"{start}.",
+    )
     other = Moment(time=3.0, npc=None, action="1", reference="0")
     assert str(other) == other.brief
-    assert re.fullmatch(r"At 3\.0 s, .* the policy chose 1, and the reference chose 0\.", other.brief)
+    assert re.fullmatch(
+        r"At 3\.0 s, .* the policy chose 1, and the reference chose 0\.", other.brief
+    )
 
 
 def test_conditions_are_listed_below_whom_they_are_about():
-    groups = (("NPC 0", ("line 1", "line 2")), ("no NPC", ("line 3",)), ("NPC 1", ("line 1", "line 4")))
+    groups = (
+        ("NPC 0", ("line 1", "line 2")),
+        ("no NPC", ("line 3",)),
+        ("NPC 1", ("line 1", "line 4")),
+    )
     moment = Moment(time=4.9, npc=0, conditions=groups)
-    whole = ["NPC 0:", "  line 1", "  line 2", "no NPC:", "  line 3", "NPC 1:", "  line 1", "  line 4"]
+    whole = [
+        "NPC 0:",
+        "  line 1",
+        "  line 2",
+        "no NPC:",
+        "  line 3",
+        "NPC 1:",
+        "  line 1",
+        "  line 4",
+    ]
     assert moment.condition_lines() == whole
-    assert replace(moment, conditions=(("", ("line 1", "line 2")),)).condition_lines() == ["line 1", "line 2"]
+    assert replace(moment, conditions=(("", ("line 1", "line 2")),)).condition_lines() == [
+        "line 1",
+        "line 2",
+    ]
 
 
 def test_a_planner_sees_a_vehicle_that_crosses_where_it_is():
     """Its ``crossing`` has it, and not its ``others``."""
     world = pafot.World("intersection-v0", planner_hz=5)
-    scenario = pafot.Scenario(npcs=[[pafot.CrossingInstruction("o1>o3", 0.5, 8.0)]], ego_lane=0, ego_speed=9.0)
+    scenario = pafot.Scenario(
+        npcs=[[pafot.CrossingInstruction("o1>o3", 0.5, 8.0)]], ego_lane=0, ego_speed=9.0
+    )
 
     def factory():
         return lambda seen: KEEPS
@@ -176,7 +206,11 @@ def test_a_planner_sees_a_vehicle_that_crosses_where_it_is():
     assert moment.seen == seen_of(trace, 0, 5)
     assert f"{abs(other[3] - ego[3]):.1f} m/s " in moment.seen
     (nudged,) = _nudged(whole.at, 0).crossing
-    moved = {name: round(a - b, 6) for name, a, b in zip(there._fields, nudged, there, strict=True) if a != b}
+    moved = {
+        name: round(a - b, 6)
+        for name, a, b in zip(there._fields, nudged, there, strict=True)
+        if a != b
+    }
     assert moved == dict.fromkeys(["distance", "ego_distance", "ahead", "right", "speed"], 0.01)
     assert _nudged(whole.at, 1) == whole.at
 
@@ -200,7 +234,9 @@ def asking(ask):
     return asks
 
 
-@pytest.mark.parametrize("factory", [Listing, pafot.Perception(Listing, latency=0.2)], ids=["perfect", "late"])
+@pytest.mark.parametrize(
+    "factory", [Listing, pafot.Perception(Listing, latency=0.2)], ids=["perfect", "late"]
+)
 def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
     trace = WORLD.rollout(SCENARIO, factory)
     whole = asked(factory, trace)
@@ -214,7 +250,9 @@ def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
 
 
 def test_hiding_a_vehicle_changes_no_other_vehicle_of_an_imperfect_sight():
-    factory = pafot.Perception(lambda: lambda seen: shown.append(seen) or KEEPS, noise={"position": 1.0}, dropout=0.2)
+    factory = pafot.Perception(
+        lambda: lambda seen: shown.append(seen) or KEEPS, noise={"position": 1.0}, dropout=0.2
+    )
     scenario = replace(SCENARIO, npcs=(*SCENARIO.npcs, [pafot.PositionInstruction(8, 22.0)]))
     shown = []
     trace = WORLD.rollout(scenario, factory)
@@ -262,14 +300,19 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
 
 
 @pytest.mark.parametrize(
-    ("far", "near", "is_told"), [(0.0, -3.0, True), (0.0, -0.9, False), (20.0, 9.0, False), (9.0, 5.5, False)]
+    ("far", "near", "is_told"),
+    [(0.0, -3.0, True), (0.0, -0.9, False), (20.0, 9.0, False), (9.0, 5.5, False)],
 )
 def test_a_change_is_told_only_if_a_car_drives_otherwise_by_one_unit(far, near, is_told):
     def ads(seen):
-        gap = min((each.x - seen.ego.x for each in seen.others if each.x > seen.ego.x), default=99.0)
+        gap = min(
+            (each.x - seen.ego.x for each in seen.others if each.x > seen.ego.x), default=99.0
+        )
         return pafot.LaneCommand(lane=1, acceleration=near if gap < 25.0 else far)
 
-    trace = WORLD.rollout(SCENARIO, lambda: lambda seen: pafot.LaneCommand(lane=1, acceleration=far))
+    trace = WORLD.rollout(
+        SCENARIO, lambda: lambda seen: pafot.LaneCommand(lane=1, acceleration=far)
+    )
     number = 5
     moment = moment_at(number, lambda: ads, trace)
     assert bool(moment.otherwise) is is_told
@@ -281,7 +324,10 @@ def test_a_changed_observation_differs_in_that_vehicle_alone():
     one = seen[3]
     moved = changed(one, 1, (1.0, -4.0, 2.0))
     assert moved.others[0] == one.others[0]
-    assert (moved.others[1].x, moved.others[1].speed) == (one.others[1].x + 1.0, one.others[1].speed + 2.0)
+    assert (moved.others[1].x, moved.others[1].speed) == (
+        one.others[1].x + 1.0,
+        one.others[1].speed + 2.0,
+    )
     assert moved.others[1].lane == one.others[1].lane - 1
     gone = changed(one, 0, None)
     assert (gone.ids, gone.others, gone.ego) == ((1,), one.others[1:], one.ego)
@@ -289,7 +335,9 @@ def test_a_changed_observation_differs_in_that_vehicle_alone():
 
 
 def moment_at(number, factory, trace):
-    whole, without_it = (asked(factory, trace, npc=npc, question=Question(number=number)) for npc in (None, 0))
+    whole, without_it = (
+        asked(factory, trace, npc=npc, question=Question(number=number)) for npc in (None, 0)
+    )
 
     ask = asking(lambda question: asked(factory, trace, question=question))
     return returned(_moment_of(trace, 0, number, whole, without_it, ask))
@@ -319,7 +367,11 @@ def test_a_policy_that_keeps_state_is_asked_otherwise_in_the_state_of_the_run():
     trace = WORLD.rollout(SCENARIO, with_a_closure)
     for factory in (with_a_closure, lambda: Late().act):
         moment = moment_at(8, factory, trace)
-        assert (moment.action, moment.hidden, moment.otherwise) == ("acceleration -3.0 m/s^2", "", "")
+        assert (moment.action, moment.hidden, moment.otherwise) == (
+            "acceleration -3.0 m/s^2",
+            "",
+            "",
+        )
 
 
 class Counting:
@@ -345,19 +397,25 @@ def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory,
     for _ in range(2):
         clear()
         asides.append(asked(factory, trace, question=Question(number=number)))
-    moment = returned(_moment_of(trace, 0, number, *asides, asking(lambda _: asked(factory, trace))))
+    moment = returned(
+        _moment_of(trace, 0, number, *asides, asking(lambda _: asked(factory, trace)))
+    )
     assert moment.action
     assert (moment.hidden, moment.otherwise) == (None, None)
 
 
 def crash(ads):
-    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22)
+    scenario = pafot.Scenario(
+        npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22
+    )
     trace = WORLD.rollout(scenario, ads)
     return pafot.Run(trace)
 
 
 def expecting(run, **options):
-    return Expect(failure="AssertionError", outcome=run.outcome, time=run.event_time, npc=0, **options)
+    return Expect(
+        failure="AssertionError", outcome=run.outcome, time=run.event_time, npc=0, **options
+    )
 
 
 @pytest.mark.parametrize(("instead", "asked"), [(None, 5), ("other", 3)])
@@ -370,7 +428,9 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(instead, asked):
             return 0.0, 0.0
 
     aside = Aside()
-    drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, Question(number=2, instead=instead))()
+    drive = beside(
+        Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, Question(number=2, instead=instead)
+    )()
     assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
     assert len(seen) == asked
     assert aside.action_at(2) == (0.0, 0.0)
@@ -381,10 +441,19 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(instead, asked):
 def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz
-    assert deciding(run, expecting(run)) == int(run.attribution.time * hz + 1e-6)  # by the rules, when danger began
-    assert told_of(run) == f"The ego drove at 22.0 m/s and did not brake from {run.attribution.time:.1f} s on."
-    assert deciding(run, expecting(run, takeover=1.25)) == int((run.collision.time - 1.25) * hz + 1e-6)
-    assert deciding(run, expecting(run, takeover=0.0)) == deciding(run, expecting(run))  # none avoids it
+    assert deciding(run, expecting(run)) == int(
+        run.attribution.time * hz + 1e-6
+    )  # by the rules, when danger began
+    assert (
+        told_of(run)
+        == f"The ego drove at 22.0 m/s and did not brake from {run.attribution.time:.1f} s on."
+    )
+    assert deciding(run, expecting(run, takeover=1.25)) == int(
+        (run.collision.time - 1.25) * hz + 1e-6
+    )
+    assert deciding(run, expecting(run, takeover=0.0)) == deciding(
+        run, expecting(run)
+    )  # none avoids it
     assert vehicle_of(run, expecting(run)) == 0
 
 
@@ -395,7 +464,9 @@ def told_of(run):
 
 def test_an_ego_that_is_not_at_fault_did_nothing_wrong():
     scenario = pafot.Scenario(
-        npcs=[[pafot.PositionInstruction(7, 22.0), pafot.PositionInstruction(6, 26.0)]], gene_seconds=6.0, ego_speed=20
+        npcs=[[pafot.PositionInstruction(7, 22.0), pafot.PositionInstruction(6, 26.0)]],
+        gene_seconds=6.0,
+        ego_speed=20,
     )
     run = pafot.Run(WORLD.rollout(scenario, lambda: lambda seen: KEEPS))
     assert run.responsibility == "npc"
@@ -418,7 +489,9 @@ def steering(most):
     """Return what makes a planner that steers to lanes, each from a time on, with at most an angle."""
 
     def decided(seen, plan):
-        course = np.clip(0.04 * (seen.lane_centres[lane_at(seen.time, plan)] - seen.ego.y), -0.08, 0.08)
+        course = np.clip(
+            0.04 * (seen.lane_centres[lane_at(seen.time, plan)] - seen.ego.y), -0.08, 0.08
+        )
         return 0.0, float(np.clip(0.5 * (course - seen.ego.heading), -most, most))
 
     return lambda *plan: lambda: lambda seen: decided(seen, plan)
@@ -439,9 +512,13 @@ def lane_at(time, plan):
     (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
     (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
 ])  # fmt: skip
-def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(planner, plan, moment):
+def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
+    planner, plan, moment
+):
     """An opposite motion before, turned back or completed, is not part of it."""
-    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_speed=9)
+    scenario = pafot.Scenario(
+        npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_speed=9
+    )
     run = pafot.Run(WORLD.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
     assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
@@ -463,7 +540,9 @@ def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last
     planner, plan, moment, moved
 ):
     world = pafot.World("racetrack-oval-v1", duration=30.0, planner_hz=5)
-    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9)
+    scenario = pafot.Scenario(
+        npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9
+    )
     run = pafot.Run(world.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
     assert run.attribution.time > moment + 1.0
@@ -475,7 +554,10 @@ def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last
 def test_a_failed_check_has_the_last_decision_up_to_it():
     run = pafot.Run(WORLD.rollout(SCENARIO, Listing))
     expect = Expect(
-        failure="CheckFailed", outcome=run.outcome, time=2.05, check=Bounded(value=1.0, unit="m", at_most=0.5)
+        failure="CheckFailed",
+        outcome=run.outcome,
+        time=2.05,
+        check=Bounded(value=1.0, unit="m", at_most=0.5),
     )
     assert deciding(run, expect) == int(2.05 * run.trace.ads_hz)
     assert vehicle_of(run, expect) in (0, 1)

@@ -28,11 +28,18 @@ from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 
 FOUND = Found(seed=1, generation=0, algorithm="pafot", versions={"numpy": "2.4.6"})
-COLLIDES = Failure(kind="AssertionError", message="long\nstory", assertion="assert not run.collision, run.explain()")
+COLLIDES = Failure(
+    kind="AssertionError",
+    message="long\nstory",
+    assertion="assert not run.collision, run.explain()",
+)
 
 
 def run_of(ticks=30, **fields):
-    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=ticks), vehicle(26.0, 4.0, speed=10.0, ticks=ticks)
+    ego, npc = (
+        vehicle(0.0, 4.0, speed=20.0, ticks=ticks),
+        vehicle(26.0, 4.0, speed=10.0, ticks=ticks),
+    )
     return Run(trace_of(ego, npc, **fields))
 
 
@@ -43,7 +50,9 @@ def broken_ads(traceback="Traceback ...\n"):
 
 def test_new_finding_is_named_by_signature_and_scenario():
     run = run_of(outcome=Outcome.COLLISION)
-    finding = Finding.from_run(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
+    finding = Finding.from_run(
+        run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND
+    )
     assert finding.id == f"leader-unanswered-{run.scenario.id}"
     assert finding.scenario == run.scenario
     assert finding.signature == signature_of_failure(run, COLLIDES)
@@ -62,7 +71,15 @@ def test_it_expects_what_the_run_showed():
         cell=Cell.FRONT,
         side="front",
         closing_speed=10.0,
-        situation=Situation(npc=0, time=0.0, gap=21.0, place="ahead", lanes_to_right=0, ego_speed=20.0, npc_speed=10.0),
+        situation=Situation(
+            npc=0,
+            time=0.0,
+            gap=21.0,
+            place="ahead",
+            lanes_to_right=0,
+            ego_speed=20.0,
+            npc_speed=10.0,
+        ),
         responsibility="ego",
         fault="leader-unanswered",
         npc_manoeuvre="lane-keeping",
@@ -95,7 +112,9 @@ def test_message_is_saved_if_no_assertion_says_it():
     ('File "/home/me/planner/ads/plan.py", line 3', 'File "ads/plan.py", line 3'),
     ('File "/opt/venv/lib/python3.11/site-packages/numpy/x.py"', 'File "site-packages/numpy/x.py"'),
 ])  # fmt: skip
-@pytest.mark.skipif(os.name == "nt", reason="the folder of the project is written as on other systems")
+@pytest.mark.skipif(
+    os.name == "nt", reason="the folder of the project is written as on other systems"
+)
 def test_texts_contain_nothing_that_changes_between_runs(text, kept):
     assert portable(text, "/home/me/planner") == kept
     run = broken_ads(f"Traceback\n  {text}\n")
@@ -205,18 +224,25 @@ def test_failure_is_identified_by_the_source_of_its_line(function, source):
 
 def test_assertion_in_helper_is_identified_by_its_source():
     namespace = {}
-    exec(compile("def helper(run):\n    assert run.ok\n", "helper_without_source.py", "exec"), namespace)
+    exec(
+        compile("def helper(run):\n    assert run.ok\n", "helper_without_source.py", "exec"),
+        namespace,
+    )
     through_helper = caught(lambda run: [namespace["helper"](run)], type("R", (), {"ok": False}))
     assert "helper" in through_helper.assertion
     assert normalised(caught(lambda run: [check(run)], Stub).assertion) == "run.min_ttc > N"
 
 
 def test_an_exception_without_a_traceback_has_its_message():
-    assert raised_failure(ValueError("no path"), __file__) == Failure(kind="ValueError", message="no path")
+    assert raised_failure(ValueError("no path"), __file__) == Failure(
+        kind="ValueError", message="no path"
+    )
 
 
 def test_finding_repr_contains_no_ci_commands():
-    shown = repr(plain_finding(test="test_a.py::test_it", flaky="x\n::error::\x1b[31m ##vso[task.complete]"))
+    shown = repr(
+        plain_finding(test="test_a.py::test_it", flaky="x\n::error::\x1b[31m ##vso[task.complete]")
+    )
     assert shown.isprintable()
     assert "##vso[" not in shown
 

@@ -40,7 +40,10 @@ HIT_STANDING = trace_of(
     outcome=Outcome.COLLISION,
     collision=collision_at(30, cell=Cell.REAR, side="rear", ego_speed=0.0),
 )
-BESIDE = (situations.driven(0.0, shifts=[(2.0, situations.LEFT, 3.0)]), situations.driven(1.0, situations.LEFT))
+BESIDE = (
+    situations.driven(0.0, shifts=[(2.0, situations.LEFT, 3.0)]),
+    situations.driven(1.0, situations.LEFT),
+)
 """An ego that moves into the vehicle alongside."""
 REAR = signature_of_failure(Run(HIT_STANDING), FAILS)
 """The ego stands, so the NPC is responsible."""
@@ -79,7 +82,9 @@ ERROR = AdsError(kind="ValueError", message="", traceback="", tick=6)
     (run_of(outcome=Outcome.INVALID), None, "drifted"),
     (run_of(outcome=Outcome.ADS_ERROR, error=ERROR), None, "drifted"),
 ])  # fmt: skip
-def test_the_same_vehicle_on_the_same_side_still_fails_and_a_pass_must_handle_the_situation(run, failure, expected):
+def test_the_same_vehicle_on_the_same_side_still_fails_and_a_pass_must_handle_the_situation(
+    run, failure, expected
+):
     assert shown(run, failure) == expected
 
 
@@ -135,13 +140,21 @@ def test_lane_change_behind_another_is_its_own_failure():
     )
     ahead = lane_change(2.0, faster=4.0)
     assert behind.attribution.fault == ahead.attribution.fault == "entered-lane"
-    for one, other, expected in ((behind, behind, True), (behind, ahead, False), (ahead, behind, False)):
+    for one, other, expected in (
+        (behind, behind, True),
+        (behind, ahead, False),
+        (ahead, behind, False),
+    ):
         assert is_same_failure(saved(one), other, FAILS) is expected
 
 
 def test_file_of_another_name_has_the_same_failure():
     beside, ahead = Run(situations.hit(*BESIDE)), lane_change(2.0, faster=4.0)
-    for finding in (saved(ahead), replace(saved(ahead), id="old-bug"), replace(saved(ahead), id="entered-behind-1")):
+    for finding in (
+        saved(ahead),
+        replace(saved(ahead), id="old-bug"),
+        replace(saved(ahead), id="entered-behind-1"),
+    ):
         assert finding.expect.mistake == "moved-in-front"
         assert is_same_failure(finding, ahead, FAILS)
         assert not is_same_failure(finding, beside, FAILS)

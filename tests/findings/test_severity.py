@@ -42,7 +42,9 @@ def failed(value, **bounds):
 def test_collision_is_measured_one_tick_after_contact(steering):
     """The ego steers towards the NPC alongside. It moves where its wheels point, not where its body does."""
     scenario = Scenario(npcs=[[PositionInstruction(4, 22.0)]], ego_lane=1, ego_speed=22.0)
-    trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, steering if seen.time > 8.0 else 0.0))
+    trace = Highway().rollout(
+        scenario, lambda: lambda seen: (0.0, steering if seen.time > 8.0 else 0.0)
+    )
     before, last = np.diff(trace.states[-3:, :2, : Y + 1], axis=0) * trace.physics_hz
     ego, npc = 2 * last - before  # the next tick, as if there had been no contact
     (speed, other), course = (
@@ -89,7 +91,9 @@ def severities():
     words = {"unit": st.sampled_from(["", "m"]), "name": st.sampled_from(["a", "b"])}
     margins = figures.map(lambda figure: -figure)
     checks = st.builds(Severity, kind=st.just("check"), value=figures, margin=margins, **words)
-    return collisions | checks | st.builds(Severity, kind=st.just("check"), value=st.none(), **words)
+    return (
+        collisions | checks | st.builds(Severity, kind=st.just("check"), value=st.none(), **words)
+    )
 
 
 @given(severities(), severities(), severities())
@@ -107,7 +111,10 @@ def test_findings_are_ranked_by_responsibility_then_severity(order):
         ("none", replace(JERK, margin=-0.8)), ("ego", JERK), ("none", replace(JERK, value=900.0, margin=-0.1)),
         ("none", None),
     ]  # fmt: skip
-    assert sorted((ranked[index] for index in order), key=lambda each: Severity.worst_first(*each)) == ranked
+    assert (
+        sorted((ranked[index] for index in order), key=lambda each: Severity.worst_first(*each))
+        == ranked
+    )
 
 
 @table(("now", "before", "told"), [
@@ -133,7 +140,9 @@ def test_check_of_many_values_uses_its_named_value():
 
 def alike(*runs):
     """Return the sum over runs of a search: their numbers, each with its closing speed, or None."""
-    hits = [(number, None if speed is None else replace(HIT, value=speed)) for number, speed in runs]
+    hits = [
+        (number, None if speed is None else replace(HIT, value=speed)) for number, speed in runs
+    ]
     each = [Alike(runs=1, number=number, severity=hit, least=hit) for number, hit in hits]
     return sum(each, start=Alike())
 
@@ -146,13 +155,22 @@ def alike(*runs):
 ])  # fmt: skip
 def test_runs_that_fail_alike_have_their_worst_and_their_mildest(runs, number, worst, least):
     found = alike(*runs)
-    assert (found.runs, found.number, found.severity.value, found.least.value) == (len(runs), number, worst, least)
+    assert (found.runs, found.number, found.severity.value, found.least.value) == (
+        len(runs),
+        number,
+        worst,
+        least,
+    )
     halves = [alike(*runs[:1]), alike(*runs[1:])]
     assert halves[0] + halves[1] == found
 
 
 def test_runs_without_a_measure_are_only_counted():
-    assert (alike((3, None), (4, None)).runs, alike((3, None)).severity, alike((3, None)).least) == (2, None, None)
+    assert (
+        alike((3, None), (4, None)).runs,
+        alike((3, None)).severity,
+        alike((3, None)).least,
+    ) == (2, None, None)
 
 
 @table(("of", "own", "told"), [

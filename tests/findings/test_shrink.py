@@ -20,13 +20,18 @@ from tests.helpers.tables import table
 def scenario(*chains, **fields):
     """Return a scenario from texts such as "4@22 3@24.5" or "left@22 keep@5": cell or lane, and speed of each gene."""
     pairs = [[gene.split("@") for gene in text.split()] for text in chains]
-    npcs = [[instruction_of([int(to) if to.isdigit() else to, float(speed)]) for to, speed in chain] for chain in pairs]
+    npcs = [
+        [instruction_of([int(to) if to.isdigit() else to, float(speed)]) for to, speed in chain]
+        for chain in pairs
+    ]
     return Scenario(npcs=tuple(map(tuple, npcs)), **fields)
 
 
 def written(given):
     """Return the texts of a scenario, the inverse of `scenario`."""
-    return tuple(" ".join(f"{gene.target}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
+    return tuple(
+        " ".join(f"{gene.target}@{gene.speed:g}" for gene in chain) for chain in given.npcs
+    )
 
 
 shrunk = partial(shrunk_by, rollouts=5000, top_speed=26.8)
@@ -39,7 +44,9 @@ def minimal(given, fails):
     return written(simplest)
 
 
-BUSY = scenario("4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.8 7@5 6@2.5", seed=77)
+BUSY = scenario(
+    "4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.8 7@5 6@2.5", seed=77
+)
 """A scenario with two NPCs with six genes each."""
 IN_LANES = scenario("keep@7 left@3 keep@7 left@3", "left@3 keep@7 keep@7 keep@7")
 MIXED = scenario("4@20 4@20 3@20 2@5", "left@3 keep@7 keep@7 keep@7")
@@ -49,7 +56,9 @@ CIRCLING = scenario("4@5 3@5 2@5 1@5 8@5")
 def has(cell, at_least=0.0, at_most=100.0):
     """Return a predicate that is true if an NPC has an instruction for a cell at a speed in a range."""
     return lambda each: any(
-        gene.cell == cell and at_least <= gene.speed <= at_most for chain in each.npcs for gene in chain
+        gene.cell == cell and at_least <= gene.speed <= at_most
+        for chain in each.npcs
+        for gene in chain
     )
 
 
@@ -59,7 +68,9 @@ def moves(each, pattern):
 
 
 AROUND = scenario("1@20", "2@20", "3@20", "4@20", "5@20", "6@20", "7@20", "8@20")
-LONG_IN_LANES = scenario("keep@5 left@8 left@8 keep@3 right@2 left@11", "keep@1 keep@2 keep@3 keep@4 keep@5 keep@6")
+LONG_IN_LANES = scenario(
+    "keep@5 left@8 left@8 keep@3 right@2 left@11", "keep@1 keep@2 keep@3 keep@4 keep@5 keep@6"
+)
 
 
 @table(("given", "fails", "answer"), [
@@ -94,9 +105,13 @@ def test_run_begins_later_if_ego_state_suffices():
     states = ((1, 22.0), (2, 21.0), (2, 15.5), (3, 15.5))
 
     def fails(each):
-        return (has(Cell.FRONT)(each) and (each.ego_lane, each.ego_speed) == (3, 15.5)) or each.npcs == given.npcs
+        return (
+            has(Cell.FRONT)(each) and (each.ego_lane, each.ego_speed) == (3, 15.5)
+        ) or each.npcs == given.npcs
 
-    simplest, _ = shrunk(given, fails, starts=lambda each: states if each.npcs == given.npcs else ())
+    simplest, _ = shrunk(
+        given, fails, starts=lambda each: states if each.npcs == given.npcs else ()
+    )
     assert (simplest.ego_lane, simplest.ego_speed) == (3, 15.5)
     assert written(simplest) == ("2@0",)
 
@@ -124,11 +139,15 @@ def test_default_traffic_becomes_paper_traffic_last():
     asked = []
     assert shrunk(given, lambda each: asked.append(each) or True)[0] == scenario("1@0")
     assert next(each for each in asked if each.traffic == PAPERS) == scenario("1@0")
-    assert shrunk(given, lambda each: each.traffic == "hostile")[0] == scenario("1@0", traffic="hostile")
+    assert shrunk(given, lambda each: each.traffic == "hostile")[0] == scenario(
+        "1@0", traffic="hostile"
+    )
 
 
 def test_paper_traffic_is_tried_despite_spent_budget():
-    simplest, how = shrunk(replace(BUSY, traffic="hostile"), lambda each: len(each.npcs) == 2, rollouts=20)
+    simplest, how = shrunk(
+        replace(BUSY, traffic="hostile"), lambda each: len(each.npcs) == 2, rollouts=20
+    )
     assert (simplest.traffic, how.is_minimal) == (PAPERS, False)
 
 
@@ -142,7 +161,10 @@ def test_chosen_style_and_its_least_speed_stay(traffic):
 
 def test_instructions_below_the_least_speed_get_no_slower():
     given = scenario("2@15 2@15 3@25", traffic="everyday")
-    assert min(gene.speed for chain in shrunk(given, lambda each: True)[0].npcs for gene in chain) == 15.0
+    assert (
+        min(gene.speed for chain in shrunk(given, lambda each: True)[0].npcs for gene in chain)
+        == 15.0
+    )
 
 
 def test_the_scenario_as_driven_is_what_comes_out():
@@ -186,7 +208,12 @@ def test_vehicles_become_cars_unless_the_failure_needs_them():
 def test_a_car_is_tried_before_most_other_changes():
     asked = []
     shrink(replace(BUSY, vehicles=("truck",)), asked.append, rollouts=100)
-    assert next(number for number, each in enumerate(asked) if not each.vehicles and len(each.npcs) == 2) < 10
+    assert (
+        next(
+            number for number, each in enumerate(asked) if not each.vehicles and len(each.npcs) == 2
+        )
+        < 10
+    )
 
 
 def test_without_rollouts_nothing_is_tried():
@@ -201,7 +228,10 @@ def test_only_likely_small_scenarios_are_run():
     assert best == BUSY
     assert all(sort_key(each) < sort_key(BUSY)[:2] for each in small)
     likely = lambda each, best: each == wanted  # noqa: E731
-    assert shrunk(BUSY, lambda each: asked.append(each) or each in (BUSY, wanted), likely=likely)[0] == wanted
+    assert (
+        shrunk(BUSY, lambda each: asked.append(each) or each in (BUSY, wanted), likely=likely)[0]
+        == wanted
+    )
     assert len(set(asked) & small) < 5  # and those that a pass leads to
 
 
@@ -226,12 +256,16 @@ def test_ego_starts_as_plainly_as_failure_allows(fails, start):
 @table(("least_genes", "seconds"), [(1, 10.0), (3, 5.0)])
 def test_genes_last_as_long_as_in_default_search(least_genes, seconds):
     given = scenario("4@20 4@20 3@20", gene_seconds=5.0)
-    simplest, _ = shrunk(given, lambda each: each.genes >= least_genes and has(4)(each), plain_seconds=10.0)
+    simplest, _ = shrunk(
+        given, lambda each: each.genes >= least_genes and has(4)(each), plain_seconds=10.0
+    )
     assert simplest.gene_seconds == seconds
 
 
 @pytest.mark.parametrize("given", [IN_LANES, MIXED])
-@pytest.mark.parametrize("wanted", [("right@20",), ("left@20 keep@20 keep@20 keep@20",), ("6@25",), ("4@20", "6@25")])
+@pytest.mark.parametrize(
+    "wanted", [("right@20",), ("left@20 keep@20 keep@20 keep@20",), ("6@25",), ("4@20", "6@25")]
+)
 def test_small_scenarios_of_both_kinds_replace_npcs_in_lanes(given, wanted):
     assert minimal(given, lambda each: each == given or written(each) == wanted) == wanted
 
@@ -239,7 +273,9 @@ def test_small_scenarios_of_both_kinds_replace_npcs_in_lanes(given, wanted):
 def test_small_scenarios_for_npcs_on_grid_are_on_grid():
     asked = []
     shrunk(BUSY, lambda each: asked.append(each) or each == BUSY, rollouts=300)
-    assert all(gene.target in tuple(Cell) for each in asked for chain in each.npcs for gene in chain)
+    assert all(
+        gene.target in tuple(Cell) for each in asked for chain in each.npcs for gene in chain
+    )
 
 
 def start_cells(each):
@@ -259,7 +295,9 @@ def test_npc_on_grid_needs_no_others_to_start_in_its_place(given, cell, answer):
 
     def fails(each):
         starts = zip(start_cells(each), each.npcs, strict=True)
-        return any(start == cell and {gene.speed for gene in chain} == {20.0} for start, chain in starts)
+        return any(
+            start == cell and {gene.speed for gene in chain} == {20.0} for start, chain in starts
+        )
 
     assert minimal(given, fails) == (answer,)
 
@@ -277,7 +315,9 @@ def test_long_chains_of_which_little_matters_take_few_runs():
 
 
 def test_small_scenario_trials_leave_budget_for_the_passes():
-    simplest, _ = shrunk(BUSY, lambda each: each == BUSY or (len(each.npcs) == 2 and each.genes == 6), rollouts=200)
+    simplest, _ = shrunk(
+        BUSY, lambda each: each == BUSY or (len(each.npcs) == 2 and each.genes == 6), rollouts=200
+    )
     assert written(simplest)[0].endswith("@0")
 
 
@@ -285,7 +325,10 @@ def test_sizes_read_as_words():
     assert size_of(BUSY) == "2 NPCs, 10 instructions, 60 s"
     assert size_of(scenario("2@0", gene_seconds=2.5)) == "1 NPC, 1 instruction, 2.5 s"
     assert size_of(scenario("2@0", gene_seconds=26 / 3)) == "1 NPC, 1 instruction, 8.7 s"
-    assert size_of(scenario("2@0 2@0", gene_seconds=40), longest_run=60) == "1 NPC, 1 instruction, 60 s"
+    assert (
+        size_of(scenario("2@0 2@0", gene_seconds=40), longest_run=60)
+        == "1 NPC, 1 instruction, 60 s"
+    )
 
 
 @table(("simpler", "other"), [
@@ -316,9 +359,13 @@ def failures(draw):
     """Return a scenario and a failure that it shows: numbers of NPCs and genes, cells or lanes, and speed limits."""
     given = draw(scenarios(max_npcs=2, max_genes=4))
     genes = [gene for chain in given.npcs for gene in chain]
-    targets = draw(st.sets(st.sampled_from(sorted({gene.target for gene in genes}, key=str)), max_size=3))
+    targets = draw(
+        st.sets(st.sampled_from(sorted({gene.target for gene in genes}, key=str)), max_size=3)
+    )
     least = draw(st.integers(1, len(given.npcs))), draw(st.integers(1, given.genes))
-    limit = draw(st.floats(0, 10)) + max((gene.speed for gene in genes if gene.target in targets), default=0.0)
+    limit = draw(st.floats(0, 10)) + max(
+        (gene.speed for gene in genes if gene.target in targets), default=0.0
+    )
 
     def fails(each):
         genes = [gene for chain in each.npcs for gene in chain]
@@ -346,7 +393,9 @@ def test_minimal_result_is_repeatable_and_cannot_be_reduced(failure):
     smaller = [best.truncated(genes) for genes in range(1, best.genes)]
     if len(best.npcs) > 1:
         chains = [best.npcs[:npc] + best.npcs[npc + 1 :] for npc in range(len(best.npcs))]
-        smaller += [Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains]
+        smaller += [
+            Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains
+        ]
     assert not any(fails(each) for each in smaller)
     assert instructions(best) <= instructions(given)
 

@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, size_of, sort_key
-from pytest_pafot.model.instructions import Cell, CrossingInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import (
+    Cell,
+    CrossingInstruction,
+    PositionInstruction,
+    ScenarioError,
+)
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.crossings import junction
 from tests.helpers.shrinking import shrunk_by
@@ -18,7 +23,9 @@ JUNCTION = junction()
 
 
 def crosses(**changes):
-    return CrossingInstruction(**({"zone": "o1>o3", "slot": 0.7, "speed": 8.6, "act": "pass"} | changes))
+    return CrossingInstruction(
+        **({"zone": "o1>o3", "slot": 0.7, "speed": 8.6, "act": "pass"} | changes)
+    )
 
 
 def scenario(*npcs, **fields):
@@ -33,7 +40,12 @@ def scenario(*npcs, **fields):
 
 
 BUSY = scenario(
-    [2, 2, 3], crosses(zone="o3>o1", slot=-1.3), crosses(act="stop"), [6, 6, 7], crosses(slot=4.2, speed=7.9), seed=77
+    [2, 2, 3],
+    crosses(zone="o3>o1", slot=-1.3),
+    crosses(act="stop"),
+    [6, 6, 7],
+    crosses(slot=4.2, speed=7.9),
+    seed=77,
 )
 
 
@@ -71,11 +83,15 @@ def test_one_passing_npc_remains_with_round_values(test, slot, speeds, act):
 
 def test_needed_npc_on_grid_stays_and_becomes_short():
     def fails(each):
-        return some(lambda gene: gene.slot > 0)(each) and any(chain[0].cell == 2 for chain in each.positions)
+        return some(lambda gene: gene.slot > 0)(each) and any(
+            chain[0].cell == 2 for chain in each.positions
+        )
 
     simplest, how = shrunk(BUSY, fails)
     assert how.is_minimal
-    assert [[(gene.cell, gene.speed) for gene in chain] for chain in simplest.positions] == [[(2, 0.0)]]
+    assert [[(gene.cell, gene.speed) for gene in chain] for chain in simplest.positions] == [
+        [(2, 0.0)]
+    ]
     assert [(each.slot, each.act) for each in told(simplest)] == [(1.0, "pass")]
 
 
@@ -101,7 +117,9 @@ instructions_at_zones = st.builds(
     speed=st.integers(1, 120).map(lambda tenths: tenths / 10),
     act=st.sampled_from(["pass", "hold", "stop", "late"]),
 )
-npcs = st.lists(instructions_at_zones | st.lists(st.just(2), min_size=1, max_size=3), min_size=1, max_size=4)
+npcs = st.lists(
+    instructions_at_zones | st.lists(st.just(2), min_size=1, max_size=3), min_size=1, max_size=4
+)
 
 
 @given(npcs, st.floats(-6, 6), st.floats(0, 13))
@@ -112,10 +130,14 @@ def test_shrinking_always_ends_with_valid_failing_scenario(npcs, slot, speed):
         return
 
     def fails(each):
-        return each == given_one or some(lambda gene: gene.slot >= slot and gene.speed <= speed)(each)
+        return each == given_one or some(lambda gene: gene.slot >= slot and gene.speed <= speed)(
+            each
+        )
 
     simplest, _ = shrunk(given_one, fails, rollouts=300)
-    assert Scenario(npcs=simplest.npcs) == replace(simplest, seed=0, ego_lane=1, ego_speed=22.0, gene_seconds=10.0)
+    assert Scenario(npcs=simplest.npcs) == replace(
+        simplest, seed=0, ego_lane=1, ego_speed=22.0, gene_seconds=10.0
+    )
 
 
 @pytest.mark.parametrize(("simple", "rough"), [

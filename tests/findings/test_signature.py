@@ -18,7 +18,11 @@ COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision, r
 
 
 def approaching(ego_speed=20.0, **fields):
-    return trace_of(vehicle(0.0, 4.0, speed=ego_speed, ticks=30), vehicle(40.0, 4.0, speed=10.0, ticks=30), **fields)
+    return trace_of(
+        vehicle(0.0, 4.0, speed=ego_speed, ticks=30),
+        vehicle(40.0, 4.0, speed=10.0, ticks=30),
+        **fields,
+    )
 
 
 def crash(**where):
@@ -47,12 +51,16 @@ def test_collision_caused_by_ego_is_identified_by_mistake():
 
 
 def test_side_hit_does_not_matter_for_ego_fault():
-    assert signature_of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == signature_of_failure(
-        crash(), COLLIDES
-    )
+    assert signature_of_failure(
+        crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES
+    ) == signature_of_failure(crash(), COLLIDES)
     fields = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "fault": "entered-lane"}
-    alone = Signature.from_facts(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
-    assert alone == Signature.from_facts(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
+    alone = Signature.from_facts(
+        **fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change"
+    )
+    assert alone == Signature.from_facts(
+        **fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping"
+    )
 
 
 def test_other_collisions_are_identified_by_side_and_cell():
@@ -71,9 +79,16 @@ def test_other_collisions_are_identified_by_side_and_cell():
 def test_assertion_without_collision_is_identified_by_its_text():
     failure = Failure(kind="AssertionError", assertion="assert run.min_ttc > 1.0")
     expected = Signature(
-        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.COMPLETED, responsibility="none"
+        failure="AssertionError",
+        assertion="run.min_ttc > N",
+        outcome=Outcome.COMPLETED,
+        responsibility="none",
     )
-    assert signature_of_failure(Run(approaching()), failure) == signature_of_failure(crash(), failure) == expected
+    assert (
+        signature_of_failure(Run(approaching()), failure)
+        == signature_of_failure(crash(), failure)
+        == expected
+    )
 
 
 def test_failed_check_is_identified_by_its_name():
@@ -82,7 +97,11 @@ def test_failed_check_is_identified_by_its_name():
         return Failure(kind="CheckFailed", message=str(check), assertion="jerk", check=check)
 
     signature = signature_of_failure(Run(approaching()), jerk(35.1))
-    assert signature == signature_of_failure(crash(), jerk(21.0)) == signature_of_failure(crash(**STANDING), jerk(99.0))
+    assert (
+        signature
+        == signature_of_failure(crash(), jerk(21.0))
+        == signature_of_failure(crash(**STANDING), jerk(99.0))
+    )
     assert (signature.assertion, signature.slug) == ("jerk", "jerk")
 
 
@@ -101,7 +120,9 @@ def test_assertion_about_the_collision_is_identified_by_outcome(source):
 
 
 def test_the_time_and_the_speeds_do_not_matter():
-    assert signature_of_failure(crash(ego_speed=18.0), COLLIDES) == signature_of_failure(crash(npc_speed=3.0), COLLIDES)
+    assert signature_of_failure(crash(ego_speed=18.0), COLLIDES) == signature_of_failure(
+        crash(npc_speed=3.0), COLLIDES
+    )
 
 
 def test_fault_names_a_failure_without_distinguishing_it():
@@ -135,7 +156,14 @@ def test_assertion_does_not_depend_on_layout_or_numbers(source):
 
 
 def test_an_assertion_keeps_what_tells_it_from_another():
-    sources = ["not run.collision", "not run.off_road", "run.v2 > 1", "run.v3 > 1", "run.x == True", "run.x == 'a1'"]
+    sources = [
+        "not run.collision",
+        "not run.off_road",
+        "run.v2 > 1",
+        "run.v3 > 1",
+        "run.x == True",
+        "run.x == 'a1'",
+    ]
     assert len({normalised(source) for source in sources}) == len(sources)
 
 
@@ -177,7 +205,9 @@ def test_numbers_never_make_a_difference(a, b):
 
 
 def slug(assertion="", kind="AssertionError", run=None):
-    return signature_of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
+    return signature_of_failure(
+        run or Run(approaching()), Failure(kind=kind, assertion=assertion)
+    ).slug
 
 
 def test_a_slug_names_the_subject_of_another_assertion():
@@ -188,7 +218,10 @@ def test_a_slug_names_the_subject_of_another_assertion():
 
 @pytest.mark.parametrize("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
 def test_ads_fault_is_named_and_the_same_for_any_traffic(outcome):
-    more = {"outcome": outcome, "error": AdsError(kind="ValueError", message="no path", traceback="", tick=6)}
+    more = {
+        "outcome": outcome,
+        "error": AdsError(kind="ValueError", message="no path", traceback="", tick=6),
+    }
     ego, other = (vehicle(x, 4.0, speed=20.0, ticks=9) for x in (0.0, 50.0))
     near, alone = Run(approaching(**more)), Run(trace_of(ego, other, **more))
     failure = Failure(kind="ValueError", message="no path")
@@ -198,7 +231,9 @@ def test_ads_fault_is_named_and_the_same_for_any_traffic(outcome):
 
 
 def test_a_slug_has_no_cell_where_nothing_approached():
-    run = Run(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9)))
+    run = Run(
+        trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9))
+    )
     assert slug("assert run.hardest_brake < 3", run=run) == "hardest-brake"
 
 
@@ -213,4 +248,6 @@ def test_slug_is_short_and_safe_in_file_names(assertion, kind):
 def test_long_assertion_on_measures_is_identified_by_text():
     source = " and ".join(f"run.npcs[{npc}].gap.min() > 1.5" for npc in range(9))
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
-    assert signature_of_failure(crash(), failure) == signature_of_failure(Run(approaching()), failure)
+    assert signature_of_failure(crash(), failure) == signature_of_failure(
+        Run(approaching()), failure
+    )

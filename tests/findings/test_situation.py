@@ -68,9 +68,13 @@ def test_cut_in_situation_starts_with_npc_in_lane():
 
 
 def test_needless_braking_is_told_from_before_it_began():
-    run = Run(crash(driven(0.0, brakes=[(3.0, 7.0, 4.0)]), driven(-30.0), side="rear", cell=Cell.REAR))
+    run = Run(
+        crash(driven(0.0, brakes=[(3.0, 7.0, 4.0)]), driven(-30.0), side="rear", cell=Cell.REAR)
+    )
     assert run.attribution.fault == "braked-for-nothing"
-    assert situation(run) == Situation(**AT_20, time=3.0, gap=30.0 - LENGTH, place="behind", lanes_to_right=0)
+    assert situation(run) == Situation(
+        **AT_20, time=3.0, gap=30.0 - LENGTH, place="behind", lanes_to_right=0
+    )
 
 
 def check(time, npc):
@@ -81,7 +85,13 @@ def check(time, npc):
 def test_check_situation_is_two_seconds_before_its_time():
     run = Run(trace_of(driven(0.0), driven(30.0, LEFT, speed=18.0), driven(60.0, speed=18.0)))
     assert situation(run, check(8.0, npc=1)) == Situation(
-        npc=1, time=6.0, gap=48.0 - LENGTH, place="ahead", lanes_to_right=0, ego_speed=20.0, npc_speed=18.0
+        npc=1,
+        time=6.0,
+        gap=48.0 - LENGTH,
+        place="ahead",
+        lanes_to_right=0,
+        ego_speed=20.0,
+        npc_speed=18.0,
     )
 
 

@@ -39,30 +39,56 @@ def filled(text, values):
 
 def steps_of(workflow):
     """Return the steps of a workflow, each with its job."""
-    return [(job, step) for job in loaded(WORKFLOWS[workflow])["jobs"].values() for step in job["steps"]]
+    return [
+        (job, step) for job in loaded(WORKFLOWS[workflow])["jobs"].values() for step in job["steps"]
+    ]
 
 
 def inputs_of(workflow, task, values=None):
     """Return the inputs that a workflow passes to the action for a task, with its expressions replaced."""
-    (given,) = (step["with"] for _, step in steps_of(workflow) if step.get("with", {}).get("task") == task)
+    (given,) = (
+        step["with"] for _, step in steps_of(workflow) if step.get("with", {}).get("task") == task
+    )
     return {name: filled(each, values or {}) for name, each in given.items()}
 
 
 def environment(**variables):
     """Return a job's environment: the tests' Python, only this plugin, and no variables of a CI around the tests."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PAFOT_", "GITHUB_", "PYTEST_"))}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PAFOT_", "GITHUB_", "PYTEST_"))
+    }
     kept.pop("CI", None)
     path = os.pathsep.join([str(Path(sys.executable).parent), kept.get("PATH", os.defpath)])
-    named = {f"GIT_{who}_{what}": "a@b.c" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
-    plugins = {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin"}
-    return {**kept, **named, **plugins, "PATH": path, "CI": "true", "GIT_CONFIG_GLOBAL": os.devnull} | variables
+    named = {
+        f"GIT_{who}_{what}": "a@b.c"
+        for who in ("AUTHOR", "COMMITTER")
+        for what in ("NAME", "EMAIL")
+    }
+    plugins = {
+        "PYTHONPATH": str(ROOT),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "PYTEST_PLUGINS": "pytest_pafot.plugin",
+    }
+    return {
+        **kept,
+        **named,
+        **plugins,
+        "PATH": path,
+        "CI": "true",
+        "GIT_CONFIG_GLOBAL": os.devnull,
+    } | variables
 
 
 def run_action(inputs, folder, **variables):
     """Run the steps of the action in a folder up to the first that fails; return its exit code and all output."""
     declared = action()
     assert not inputs.keys() - declared["inputs"].keys()
-    values = {f"inputs.{name}": inputs.get(name, each["default"]) for name, each in declared["inputs"].items()}
+    values = {
+        f"inputs.{name}": inputs.get(name, each["default"])
+        for name, each in declared["inputs"].items()
+    }
     printed = ""
     for step in declared["runs"]["steps"]:
         if "run" not in step:
@@ -79,7 +105,9 @@ def shell(command, folder, **variables):
     """Run a step's command and return its exit code and output."""
     bash = ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", command]
     streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    done = subprocess.run(bash, cwd=folder, env=environment(**variables), **streams, text=True, check=False)
+    done = subprocess.run(
+        bash, cwd=folder, env=environment(**variables), **streams, text=True, check=False
+    )
     return done.returncode, done.stdout
 
 
@@ -101,7 +129,9 @@ class Asked(socketserver.BaseRequestHandler):
         text, streams, *_ = socket.recv_fds(self.request, 2**20, 3)
         command, folder, variables = json.loads(text)
         stdin, stdout, stderr = streams
-        with Copy(command, cwd=folder, env=variables, stdin=stdin, stdout=stdout, stderr=stderr) as process:
+        with Copy(
+            command, cwd=folder, env=variables, stdin=stdin, stdout=stdout, stderr=stderr
+        ) as process:
             self.request.send(bytes([process.wait() % 256]))
         for stream in streams:
             os.close(stream)
@@ -128,5 +158,7 @@ def copies():
 
 def git(folder, *args):
     """Run git and return its output."""
-    done = subprocess.run(["git", *args], cwd=folder, env=environment(), capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["git", *args], cwd=folder, env=environment(), capture_output=True, text=True, check=True
+    )
     return done.stdout.strip()

@@ -112,12 +112,17 @@ class Page:
     def __init__(self, browser, url, *, width, height, media):
         self._browser = browser
         self._target = browser.send("Target.createTarget", url="about:blank")["targetId"]
-        self._session = browser.send("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
+        self._session = browser.send("Target.attachToTarget", targetId=self._target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
         self.resize(width, height)
         if media:
-            self.send("Emulation.setEmulatedMedia", features=[{"name": name, "value": value} for name, value in media])
+            self.send(
+                "Emulation.setEmulatedMedia",
+                features=[{"name": name, "value": value} for name, value in media],
+            )
         self.go(url)
 
     def send(self, method, **parameters):
@@ -126,15 +131,27 @@ class Page:
     def go(self, url):
         """Load a page and wait until it is complete."""
         self.send("Page.navigate", url=url)
-        self.until(f"document.readyState === 'complete' && location.href.startsWith({json.dumps(url.split('#')[0])})")
+        self.until(
+            f"document.readyState === 'complete' && location.href.startsWith({json.dumps(url.split('#')[0])})"
+        )
 
     def resize(self, width, height=900):
-        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.send(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
 
     def evaluate(self, expression):
         """Return the value of an expression; await it if it is a promise."""
         answer = self.send(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True, userGesture=True
+            "Runtime.evaluate",
+            expression=expression,
+            returnByValue=True,
+            awaitPromise=True,
+            userGesture=True,
         )
         if "exceptionDetails" in answer:
             raise BrowserError(f"{expression}: {answer['exceptionDetails']}")
@@ -165,7 +182,9 @@ class Page:
             "key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": SHIFT if shift else 0,
         }  # fmt: skip
         text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
-        self.send("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **common, **text)
+        self.send(
+            "Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **common, **text
+        )
         self.send("Input.dispatchKeyEvent", type="keyUp", **common)
 
     @property

@@ -18,7 +18,9 @@ import numpy as np
 
 
 def _power(base: float, exponent: float) -> float:
-    return base * base if exponent == 2 else math.pow(base, exponent)  # numpy also squares by a multiplication
+    return (
+        base * base if exponent == 2 else math.pow(base, exponent)
+    )  # numpy also squares by a multiplication
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
@@ -32,7 +34,9 @@ def of_the_c_library(name: str) -> Callable[..., Any]:
     numpys, maths = getattr(np, name), FUNCTIONS[name]
 
     def function(x: Any, *args: Any, **kwargs: Any) -> Any:
-        is_single = isinstance(x, (float, int, np.number)) or not np.ndim(x)  # numpy's own answer is slow for numbers
+        is_single = isinstance(x, (float, int, np.number)) or not np.ndim(
+            x
+        )  # numpy's own answer is slow for numbers
         return np.float64(maths(x, *args, **kwargs)) if is_single else numpys(x, *args, **kwargs)
 
     return function
@@ -57,7 +61,11 @@ def norm_of_products() -> Callable[..., Any]:
     numpys = np.linalg.norm
 
     def norm(x: Any, *args: Any, **kwargs: Any) -> Any:
-        return np.sqrt(x[0] * x[0] + x[1] * x[1]) if np.shape(x) == (2,) else numpys(x, *args, **kwargs)
+        return (
+            np.sqrt(x[0] * x[0] + x[1] * x[1])
+            if np.shape(x) == (2,)
+            else numpys(x, *args, **kwargs)
+        )
 
     return norm
 

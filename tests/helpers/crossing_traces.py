@@ -30,7 +30,10 @@ def across(places):
 def into(places):
     """Return world x, y and heading of places on the way that merges."""
     turned = np.clip((places - BEFORE_TURN) / RADIUS, 0.0, np.pi / 2)
-    before, after = np.maximum(BEFORE_TURN - places, 0.0), np.maximum(places - BEFORE_TURN - TURN, 0.0)
+    before, after = (
+        np.maximum(BEFORE_TURN - places, 0.0),
+        np.maximum(places - BEFORE_TURN - TURN, 0.0),
+    )
     x = ENTERS_AT - RADIUS * np.cos(turned) + after
     return x, RADIUS * (1 - np.sin(turned)) + before, turned - np.pi / 2
 
@@ -55,7 +58,11 @@ WAYS = {CROSSES: across, MERGES: into}
 
 def lanes():
     """Yield the ego's lane, the crossing lane, and the merging lane up to the ego's lane."""
-    ways = ((lambda places: (places, 0 * places, 0 * places), 200.0), (across, 120.0), (into, BEFORE_TURN + TURN))
+    ways = (
+        (lambda places: (places, 0 * places, 0 * places), 200.0),
+        (across, 120.0),
+        (into, BEFORE_TURN + TURN),
+    )
     for way, length in ways:
         x, y, heading = way(np.append(np.arange(0.0, length, 1.0), length))
         points = tuple(zip(x.tolist(), y.tolist(), strict=True))
@@ -81,7 +88,13 @@ def junction_trace(*npcs, seconds=8.0, ego_speed=SPEED, hits=None, **fields) -> 
         tracks.append(np.where(is_on_way[:, None], track, np.nan))
         on_way.append(np.full_like(times, np.nan) if zone is None else places)
         is_grid = zone is None
-        chains.append([PositionInstruction(Cell.FRONT, speed) if is_grid else CrossingInstruction(zone, 0.5, speed)])
+        chains.append(
+            [
+                PositionInstruction(Cell.FRONT, speed)
+                if is_grid
+                else CrossingInstruction(zone, 0.5, speed)
+            ]
+        )
     scenario = Scenario(npcs=chains[1:], ego_lane=0, ego_speed=ego_speed)
     zones = tuple(None if zone is None else ZONES[zone] for zone, *_ in npcs)
     entered = [

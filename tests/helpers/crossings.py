@@ -18,12 +18,27 @@ def clashes(crossings, scenario):
     return any(crossings.clash(*pair) for pair in combinations(told, 2))
 
 
-def way_of(name, kind, origin, ego, npc, priority="none", *, length=160.0, top=12.0, bend=None, bend_top=6.0):
+def way_of(
+    name,
+    kind,
+    origin,
+    ego,
+    npc,
+    priority="none",
+    *,
+    length=160.0,
+    top=12.0,
+    bend=None,
+    bend_top=6.0,
+):
     """Return a way with the speed ``top`` everywhere except in a bend, where it is ``bend_top`` [m, m/s]."""
     places = np.arange(round(length / STEP) + 1) * STEP
     first, last = bend or (0.0, -1.0)
     speeds = np.where((places >= first) & (places <= last), bend_top, top)
-    return Way(zone=Zone(way=name, kind=kind, origin=origin, ego=ego, npc=npc, priority=priority), speeds=speeds)
+    return Way(
+        zone=Zone(way=name, kind=kind, origin=origin, ego=ego, npc=npc, priority=priority),
+        speeds=speeds,
+    )
 
 
 def junction(**changes):

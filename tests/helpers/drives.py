@@ -60,7 +60,12 @@ def crash(ego, *npcs, npc=0, side="front", cell=Cell.FRONT, **road):
         **{name: value[: tick + 1] if name == "track" else value for name, value in road.items()},
         outcome=Outcome.COLLISION,
         collision=collision_at(
-            tick, npc=npc, side=side, cell=cell, ego_speed=ego[tick, 3], npc_speed=npcs[npc][tick, 3]
+            tick,
+            npc=npc,
+            side=side,
+            cell=cell,
+            ego_speed=ego[tick, 3],
+            npc_speed=npcs[npc][tick, 3],
         ),
     )
 
@@ -76,11 +81,15 @@ def bent(*vehicles, radius=150.0, ego_lane=1, lane_count=3):
     for number, straight in enumerate(vehicles):
         states, across = straight.copy(), straight[:, Y] - middle
         stretch = (radius - across) / radius
-        along = straight[0, X] + np.concatenate(([0.0], np.cumsum(np.diff(straight[:, X]) / stretch[:-1])))
+        along = straight[0, X] + np.concatenate(
+            ([0.0], np.cumsum(np.diff(straight[:, X]) / stretch[:-1]))
+        )
         states[:, X] = (radius - across) * np.sin(along / radius)
         states[:, Y] = radius - (radius - across) * np.cos(along / radius)
         states[:, HEADING] = straight[:, HEADING] + along / radius
-        track[:, number, [ALONG, ACROSS, ANGLE]] = np.stack([along, across, straight[:, HEADING]], axis=-1)
+        track[:, number, [ALONG, ACROSS, ANGLE]] = np.stack(
+            [along, across, straight[:, HEADING]], axis=-1
+        )
         track[:, number, OFFSET] = across - (straight[:, LANE] * LANE_WIDTH - middle)
         track[:, number, STRETCH] = stretch
         moved.append(states)
@@ -91,7 +100,15 @@ def bent(*vehicles, radius=150.0, ego_lane=1, lane_count=3):
         points = tuple(zip(inside * np.sin(turns), radius - inside * np.cos(turns), strict=True))
         x, y = points[0]
         lanes.append(
-            Lane(x=x, y=y, heading=-0.5, length=inside * 4.5, width=LANE_WIDTH, speed_limit=26.8, points=points)
+            Lane(
+                x=x,
+                y=y,
+                heading=-0.5,
+                length=inside * 4.5,
+                width=LANE_WIDTH,
+                speed_limit=26.8,
+                points=points,
+            )
         )
     return moved, {"lanes": tuple(lanes), "track": track}
 
@@ -110,12 +127,18 @@ def merging(*vehicles, on_ramp):
     states = np.stack(moved, axis=1)
     track = np.zeros((*states.shape[:2], 5))
     way = _ramp(states[..., X]) if on_ramp == 0 else np.full_like(states[..., X], LANE_WIDTH)
-    slope = np.arctan((_ramp(states[..., X] + 0.1) - _ramp(states[..., X] - 0.1)) / 0.2) * (on_ramp == 0)
+    slope = np.arctan((_ramp(states[..., X] + 0.1) - _ramp(states[..., X] - 0.1)) / 0.2) * (
+        on_ramp == 0
+    )
     track[..., ALONG], track[..., ACROSS] = states[..., X], states[..., Y] - way
     track[..., ANGLE], track[..., STRETCH] = states[..., HEADING] - slope, 1.0
-    track[..., OFFSET] = np.where(states[..., LANE] == 2, 0.0, states[..., Y] - states[..., LANE] * LANE_WIDTH)
+    track[..., OFFSET] = np.where(
+        states[..., LANE] == 2, 0.0, states[..., Y] - states[..., LANE] * LANE_WIDTH
+    )
     ends = np.array([-500.0, 40.0, 140.0])
-    ramp = replace(straight_lanes()[0], y=12.0, x=-500.0, points=tuple(zip(ends, _ramp(ends), strict=True)))
+    ramp = replace(
+        straight_lanes()[0], y=12.0, x=-500.0, points=tuple(zip(ends, _ramp(ends), strict=True))
+    )
     return moved, {"lanes": (*straight_lanes(2), ramp), "track": track}
 
 

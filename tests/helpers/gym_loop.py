@@ -34,7 +34,9 @@ class StateLog:
 
     def __call__(self, dt: float) -> None:
         self._step(dt)
-        self.rows.append([(*vehicle.position, vehicle.heading, vehicle.speed) for vehicle in self._road.vehicles])
+        self.rows.append(
+            [(*vehicle.position, vehicle.heading, vehicle.speed) for vehicle in self._road.vehicles]
+        )
 
 
 ACCELERATION_RANGE = (-5, 5.0)
@@ -44,7 +46,10 @@ STEERING_RANGE = (-np.pi / 4, np.pi / 4)
 
 def si_actions(actions: list[FloatArray]) -> list[tuple[float, float]]:
     """Convert actions to accelerations and steering angles by highway-env's own mapping in float32."""
-    return [(float(lmap(a, [-1, 1], ACCELERATION_RANGE)), float(lmap(s, [-1, 1], STEERING_RANGE))) for a, s in actions]
+    return [
+        (float(lmap(a, [-1, 1], ACCELERATION_RANGE)), float(lmap(s, [-1, 1], STEERING_RANGE)))
+        for a, s in actions
+    ]
 
 
 def make_env(trace: Trace) -> Any:

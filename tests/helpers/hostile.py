@@ -19,7 +19,9 @@ PIECES = (
 CHARACTERS = st.characters(exclude_categories=["Cs"])
 """All characters that a file can hold, as in ``st.text()``, which takes seconds because it checks each codec."""
 
-TEXTS = st.lists(st.sampled_from(PIECES) | st.text(CHARACTERS, max_size=5), min_size=1, max_size=8).map("".join)
+TEXTS = st.lists(
+    st.sampled_from(PIECES) | st.text(CHARACTERS, max_size=5), min_size=1, max_size=8
+).map("".join)
 
 WORST = "x\n::error file=a.py::S ::b ##[error]C \r\x1b]0;T\x07\x1b[2J\x9b1m\u202e\u2028::c <img src=x> @me $x$ |"
 """A text with every kind of attack."""
@@ -28,9 +30,13 @@ WORST = "x\n::error file=a.py::S ::b ##[error]C \r\x1b]0;T\x07\x1b[2J\x9b1m\u202
 def obeyed(text: str) -> list[str]:
     """Return the parts of a text that would take effect: lines that control a CI runner, and unprintable characters."""
     lines = re.split("[\n\r\x0b\x0c\x1c-\x1e\x85\u2028\u2029]", text)
-    commands = [line for line in lines if line.strip().startswith("::") or re.search(r"##\w*\[", line)]
+    commands = [
+        line for line in lines if line.strip().startswith("::") or re.search(r"##\w*\[", line)
+    ]
     other = {
-        each for each in text if unicodedata.category(each)[0] == "C" or unicodedata.category(each) in ("Zl", "Zp")
+        each
+        for each in text
+        if unicodedata.category(each)[0] == "C" or unicodedata.category(each) in ("Zl", "Zp")
     }
     return [*commands, *sorted(map(ascii, other - {"\n"}))]
 

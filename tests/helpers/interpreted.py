@@ -15,7 +15,11 @@ ROOM = "pytest_pafot.world"
 
 
 def _modules() -> dict[str, ModuleType]:
-    return {name: module for name, module in sys.modules.items() if name == ROOM or name.startswith(f"{ROOM}.")}
+    return {
+        name: module
+        for name, module in sys.modules.items()
+        if name == ROOM or name.startswith(f"{ROOM}.")
+    }
 
 
 class InterpretedWorld:

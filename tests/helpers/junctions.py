@@ -78,7 +78,9 @@ def path(name):
     arm, turn = name.split()
     bend = {"straight": 0.0, "left": -1 / (HALF + SIDE), "right": 1 / (HALF - SIDE)}[turn]
     length = 2 * HALF if not bend else math.pi / 2 / abs(bend)
-    return drawn(-HALF - BEFORE, SIDE, 0.0, (BEFORE, 0.0), (length, bend), (BEHIND, 0.0)).turned(ARMS[arm])
+    return drawn(-HALF - BEFORE, SIDE, 0.0, (BEFORE, 0.0), (length, bend), (BEHIND, 0.0)).turned(
+        ARMS[arm]
+    )
 
 
 def touching(first, second, margin=0.0):
@@ -100,27 +102,44 @@ def zone(ego, npc, priority):
     """Return the zone in which the ways of the ego and of an NPC first meet."""
     lines = path(ego), path(npc)
     firsts = (0.0 if name == "circle" else 100.0 for name in (ego, npc))
-    places = [np.arange(a, (len(line.points) - 1) * STEP, 0.5) for a, line in zip(firsts, lines, strict=True)]
+    places = [
+        np.arange(a, (len(line.points) - 1) * STEP, 0.5)
+        for a, line in zip(firsts, lines, strict=True)
+    ]
     poses = [line.at(each) for line, each in zip(lines, places, strict=True)]
     meets = touching(*poses, WIDER)
     first, second = (np.flatnonzero(meets.any(axis=axis)) for axis in (1, 0))
-    stretches = [[each[part[0]], each[part[-1]]] for each, part in zip(places, (first, second), strict=True)]
+    stretches = [
+        [each[part[0]], each[part[-1]]] for each, part in zip(places, (first, second), strict=True)
+    ]
     joined = _joined(*poses)
     if joined is not None:
         for stretch, each, at in zip(stretches, places, joined, strict=True):
             stretch[1] = each[at] + LENGTH
     before = poses[0][first[0]][2] - poses[1][max(second[0] - 20, 0)][2]
     angle = math.remainder(before, 2 * math.pi)
-    origin = "ahead" if abs(angle) > 2.5 else "behind" if abs(angle) < 0.6 else "right" if angle > 0 else "left"
+    origin = (
+        "ahead"
+        if abs(angle) > 2.5
+        else "behind"
+        if abs(angle) < 0.6
+        else "right"
+        if angle > 0
+        else "left"
+    )
     kind = "merging" if joined is not None else "oncoming" if origin == "ahead" else "crossing"
     own, other = (tuple(map(float, stretch)) for stretch in stretches)
-    return Zone(way=npc.replace(" ", ">"), kind=kind, origin=origin, ego=own, npc=other, priority=priority)
+    return Zone(
+        way=npc.replace(" ", ">"), kind=kind, origin=origin, ego=own, npc=other, priority=priority
+    )
 
 
 def _joined(first, second):
     """Return the indices at which two lines of poses first become one lane, or None."""
     x, y = (second[None, :, axis] - first[:, None, axis] for axis in (0, 1))
-    angle = np.abs(np.remainder(second[None, :, 2] - first[:, None, 2] + math.pi, 2 * math.pi) - math.pi)
+    angle = np.abs(
+        np.remainder(second[None, :, 2] - first[:, None, 2] + math.pi, 2 * math.pi) - math.pi
+    )
     far = np.hypot(x, y) + (angle >= ALIGNED) * 1e3
     near = far.argmin(axis=1)
     found = np.flatnonzero(far.min(axis=1) < JOINED)
@@ -149,8 +168,12 @@ def _places(begins, plan_, ticks):
         since = round(start * HZ)
         steps = np.arange(ticks + 1 - since)
         toward = abs(acceleration) if final > speeds[since] else -abs(acceleration)
-        speeds[since:] = np.clip(speeds[since] + toward / HZ * steps, *sorted((speeds[since], final)))
-    places = begins - plan_.enters * plan_.speed + np.concatenate(([0.0], np.cumsum(speeds[:-1]))) / HZ
+        speeds[since:] = np.clip(
+            speeds[since] + toward / HZ * steps, *sorted((speeds[since], final))
+        )
+    places = (
+        begins - plan_.enters * plan_.speed + np.concatenate(([0.0], np.cumsum(speeds[:-1]))) / HZ
+    )
     return places, speeds
 
 
@@ -167,7 +190,9 @@ def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
     An NPC whose way begins with ``grid`` drives on the ego's own way and has no zone.
     """
     ticks = round(seconds * HZ)
-    zones = [None if each.way == "grid" else zone(ego.way, each.way, priority) for each in (npc, *others)]
+    zones = [
+        None if each.way == "grid" else zone(ego.way, each.way, priority) for each in (npc, *others)
+    ]
     own = zones[0] or next(each for each in zones if each)
     vehicles, along = [], []
     for number, each in enumerate((ego, npc, *others)):
@@ -182,15 +207,27 @@ def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
         vehicles.append(states)
         along.append(places)
     rows = [
-        _on_line(along[number]) if each is ego or each.way == "grid" else _track(path(ego.way), vehicles[number])
+        _on_line(along[number])
+        if each is ego or each.way == "grid"
+        else _track(path(ego.way), vehicles[number])
         for number, each in enumerate((ego, npc, *others))
     ]
     track = np.stack(rows, axis=1)
     for number, states in enumerate(vehicles):
         states[:, LANE] = np.where(np.isnan(track[:, number, 0]), number, 0)
-    on_way = np.stack([np.full(ticks + 1, np.nan) if met is None else along[n + 1] for n, met in enumerate(zones)], -1)
-    lanes = tuple(_lane(ego.way if each.way == "grid" else each.way) for each in (ego, npc, *others))
-    return trace_of(*vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ)
+    on_way = np.stack(
+        [
+            np.full(ticks + 1, np.nan) if met is None else along[n + 1]
+            for n, met in enumerate(zones)
+        ],
+        -1,
+    )
+    lanes = tuple(
+        _lane(ego.way if each.way == "grid" else each.way) for each in (ego, npc, *others)
+    )
+    return trace_of(
+        *vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ
+    )
 
 
 def hit(ego, npc, **road):
@@ -204,7 +241,9 @@ def _ended(whole, tick):
     """Return the run up to a tick, with a collision at the side of the ego that was hit."""
     states = whole.states[: tick + 1]
     is_on_way = not np.isnan(whole.track[tick, 1, 0])
-    collision = collision_at(tick, ego_speed=states[tick, 0, SPEED], npc_speed=states[tick, 1, SPEED])
+    collision = collision_at(
+        tick, ego_speed=states[tick, 0, SPEED], npc_speed=states[tick, 1, SPEED]
+    )
     if tick:
         boxes = (Box(*row[[X, Y, HEADING]], LENGTH, WIDTH) for row in states[tick - 1, :2])
         collision = replace(collision, side=side_hit(*boxes))
@@ -239,8 +278,15 @@ def _track(line, states):
     dx, dy = states[:, X] - at[:, 0], states[:, Y] - at[:, 1]
     across = dy * cos - dx * sin
     angle = np.remainder(states[:, HEADING] - at[:, 2] + math.pi, 2 * math.pi) - math.pi
-    found = np.column_stack([places[near] + dx * cos + dy * sin, across, angle, across, np.ones(len(states))])
-    is_off = (abs(across) >= LANE_WIDTH / 2) | (abs(angle) >= 0.5) | (near == 0) | (near >= len(places) - 6)
+    found = np.column_stack(
+        [places[near] + dx * cos + dy * sin, across, angle, across, np.ones(len(states))]
+    )
+    is_off = (
+        (abs(across) >= LANE_WIDTH / 2)
+        | (abs(angle) >= 0.5)
+        | (near == 0)
+        | (near >= len(places) - 6)
+    )
     found[is_off] = np.nan
     rows[is_around] = found
     return rows
@@ -252,7 +298,9 @@ def _lane(way):
     points = tuple((float(x), float(y)) for x, y, _ in line.points[::10])
     (x, y), heading = points[0], float(line.points[0, 2])
     length = (len(points) - 1) * STEP * 10
-    return Lane(x=x, y=y, heading=heading, length=length, width=LANE_WIDTH, speed_limit=15.0, points=points)
+    return Lane(
+        x=x, y=y, heading=heading, length=length, width=LANE_WIDTH, speed_limit=15.0, points=points
+    )
 
 
 MEETINGS = (
@@ -282,7 +330,10 @@ def random_meeting(rng):
     if rng.random() < 0.15:
         ways = ["grid", npc]
     enters = rng.uniform(2.0, 5.0)
-    first, *others = [_random_plan(rng, way, enters + rng.normal(1.0 if way == "grid" else 0.0, 1.5)) for way in ways]
+    first, *others = [
+        _random_plan(rng, way, enters + rng.normal(1.0 if way == "grid" else 0.0, 1.5))
+        for way in ways
+    ]
     priority = ("ego", "npc", "none")[rng.choice(3, p=[0.4, 0.4, 0.2])]
     return meeting(_random_plan(rng, ego, enters), first, priority=priority, others=others)
 

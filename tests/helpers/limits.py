@@ -31,7 +31,14 @@ def limits(world, trace):
             ("heading", angle, -own.heading, own.heading),
             ("lateral acceleration", aside, -own.lateral_acceleration, own.lateral_acceleration),
         ):
-            least, most = float(np.min(values[:, npc], initial=0.0)), float(np.max(values[:, npc], initial=0.0))
+            least, most = (
+                float(np.min(values[:, npc], initial=0.0)),
+                float(np.max(values[:, npc], initial=0.0)),
+            )
             spare = ROUNDING + SINGLE * max(abs(low), high)
             is_kept = low - spare <= least and most <= high + spare
-            yield is_kept, f"the {name} of {who} is from {low:g} to {high:g}", f"{least:g} to {most:g}"
+            yield (
+                is_kept,
+                f"the {name} of {who} is from {low:g} to {high:g}",
+                f"{least:g} to {most:g}",
+            )

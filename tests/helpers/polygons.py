@@ -12,7 +12,10 @@ def corners(state, length=LENGTH, width=WIDTH):
     x, y, heading = state[X], state[Y], state[HEADING]
     cos, sin = math.cos(heading), math.sin(heading)
     return [
-        (x + a * length / 2 * cos - b * width / 2 * sin, y + a * length / 2 * sin + b * width / 2 * cos)
+        (
+            x + a * length / 2 * cos - b * width / 2 * sin,
+            y + a * length / 2 * sin + b * width / 2 * cos,
+        )
         for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
     ]
 
@@ -36,7 +39,10 @@ def polygon_distance(p, q):
     if polygons_meet(p, q):
         return 0.0
     edges = [(a, b) for a in edges_of(p) for b in edges_of(q)]
-    return min(min(point_to_segment(end, *b) for end in a) for a, b in [*edges, *((b, a) for a, b in edges)])
+    return min(
+        min(point_to_segment(end, *b) for end in a)
+        for a, b in [*edges, *((b, a) for a, b in edges)]
+    )
 
 
 def edges_of(polygon):

@@ -47,7 +47,8 @@ def unpacked(data):
     speeds = states[-1, :, SPEED]
     speeds = {"ego_speed": speeds[0], "npc_speed": speeds[npc + 1]}
     lanes = [
-        Lane(x=-1e5, y=y, heading=0.0, length=2e5, width=width, speed_limit=limit) for y, width, limit in data["lanes"]
+        Lane(x=-1e5, y=y, heading=0.0, length=2e5, width=width, speed_limit=limit)
+        for y, width, limit in data["lanes"]
     ]
     return trace_of(
         *states.swapaxes(0, 1),
@@ -56,7 +57,9 @@ def unpacked(data):
         lanes=tuple(lanes),
         physics_hz=hz,
         ads_hz=hz,
-        collision=collision_at(len(states) - 1, npc=npc, side=data["side"], physics_hz=hz, **speeds),
+        collision=collision_at(
+            len(states) - 1, npc=npc, side=data["side"], physics_hz=hz, **speeds
+        ),
     )
 
 
@@ -67,12 +70,19 @@ def load(path=FILE):
     head = json.loads(data[8 : 8 + size])
     numbers = np.load(io.BytesIO(data[8 + size :]), allow_pickle=False).astype(np.int64)
     found, begin = [], 0
-    for number, (item, (ticks, vehicles, _)) in enumerate(zip(head["items"], head["shapes"], strict=True)):
+    for number, (item, (ticks, vehicles, _)) in enumerate(
+        zip(head["items"], head["shapes"], strict=True)
+    ):
         end = begin + ticks * vehicles
         steps = numbers[:, begin:end].reshape(-1, ticks, vehicles).transpose(1, 2, 0)
         answers = tuple((fault, tuple(others)) for fault, others in item["readings"])
         found.append(
-            Read(number=number, trace=unpacked({**item, "steps": steps}), read_in=item["set"], answers=answers)
+            Read(
+                number=number,
+                trace=unpacked({**item, "steps": steps}),
+                read_in=item["set"],
+                answers=answers,
+            )
         )
         begin = end
     return found

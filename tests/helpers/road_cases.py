@@ -82,7 +82,9 @@ def world_of(env_id, duration=None):
 
 def space_of(world, npcs=2, traffic="paper"):
     """Return the plugin's search space in a world with its own start."""
-    return space_on(world.speed_limit, world.longest_run, {"npcs": npcs, "traffic": traffic}, world.road_start)
+    return space_on(
+        world.speed_limit, world.longest_run, {"npcs": npcs, "traffic": traffic}, world.road_start
+    )
 
 
 def off_lanes(network, trace):
@@ -96,7 +98,10 @@ def off_lanes(network, trace):
     worst = 0.0
     for a in (-1, 1):
         for b in (-1, 1):
-            worst = max(worst, *(beyond_edges(network, corner) for corner in centre + a * forward + b * right))
+            worst = max(
+                worst,
+                *(beyond_edges(network, corner) for corner in centre + a * forward + b * right),
+            )
     return worst
 
 
@@ -121,7 +126,11 @@ def violations(trace, world):
     beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
     bounds |= {
         "speed in the bend": (s[ticks, :, SPEED] - fastest, -np.inf, 0.0),
-        "angle to the lane": (wrapped(s[ticks, :, HEADING] - direction), -limits.heading, limits.heading),
+        "angle to the lane": (
+            wrapped(s[ticks, :, HEADING] - direction),
+            -limits.heading,
+            limits.heading,
+        ),
         "forward motion": (np.diff(trace.track[:, 1:, ALONG], axis=0), -1e-9, np.inf),
         "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, beside),
     }
@@ -140,9 +149,13 @@ def lanes_of(trace, road, ticks):
             if column.part[road.bends.point(along)] == trace.npcs[tick, npc, 6] or number == len(road.columns) - 1
         )  # fmt: skip
         direction[row, npc] = road.bends.direction_at(lane, along)
-        x, y, _ = zip(*(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True)
+        x, y, _ = zip(
+            *(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True
+        )
         turn = math.atan2(y[2] - y[1], x[2] - x[1]) - math.atan2(y[1] - y[0], x[1] - x[0])
-        bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(x[2] - x[1], y[2] - y[1])
+        bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(
+            x[2] - x[1], y[2] - y[1]
+        )
         lateral = min(4.0, trace.scenario.vehicle_of(npc).lateral_acceleration)
         fastest[row, npc] = math.sqrt(lateral / max(bend, 1e-9))
     return direction, fastest

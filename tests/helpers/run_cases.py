@@ -15,7 +15,16 @@ from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, random_scenario
 
 FREQUENCIES = ((15, 5), (15, 15), (20, 10), (30, 5), (12, 4), (5, 1))
-SAME = ("executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
+SAME = (
+    "executed",
+    "outcome",
+    "collision",
+    "error",
+    "actions",
+    "arrivals",
+    "off_road_tick",
+    "lanes",
+)
 
 
 class Hurried(IDMVehicle):
@@ -31,7 +40,15 @@ class Hurried(IDMVehicle):
 
 def steps_and_swerves():
     """Return an ADS that cycles through kinds of action: beyond a car's limits, lists, arrays, whole numbers, zeros."""
-    actions = ((9.0, 0.0), (-20.0, 0.01), [1, 0], np.array([0.5, -0.01]), (0.0, 2.0), (0, 0), (-3.0, -0.02))
+    actions = (
+        (9.0, 0.0),
+        (-20.0, 0.01),
+        [1, 0],
+        np.array([0.5, -0.01]),
+        (0.0, 2.0),
+        (0, 0),
+        (-3.0, -0.02),
+    )
     return lambda observation: actions[int(observation.time * 2) % len(actions)]
 
 
@@ -40,8 +57,12 @@ def follows():
 
     def drive(observation):
         ego = observation.ego
-        ahead = [other for other in observation.others if other.lane == ego.lane and other.x > ego.x]
-        gap = min((other.x - ego.x - (other.length + ego.length) / 2 for other in ahead), default=100.0)
+        ahead = [
+            other for other in observation.others if other.lane == ego.lane and other.x > ego.x
+        ]
+        gap = min(
+            (other.x - ego.x - (other.length + ego.length) / 2 for other in ahead), default=100.0
+        )
         wish = 0.3 * (min(observation.speed_limit, gap / 1.2) - ego.speed)
         return wish, -0.01 * (ego.y - ego.lane * observation.lane_width) - 0.3 * ego.heading
 

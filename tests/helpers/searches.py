@@ -43,5 +43,7 @@ def run_plan(
         recalled = plan.recalled()
         if recalled is None:
             foresee(plan.ahead())
-        yield from plan.take(evaluate(plan.scenario()) if recalled is None else recalled, reused=recalled is not None)
+        yield from plan.take(
+            evaluate(plan.scenario()) if recalled is None else recalled, reused=recalled is not None
+        )
     yield from plan.finished("generations" if plan.is_over else "runs")

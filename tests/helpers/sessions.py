@@ -86,7 +86,9 @@ def in_a_copy(pytester, *args):
     begun = time.monotonic()
     base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     done = command_in_a_copy("pytest", f"--basetemp={base}", *args, folder=pytester.path)
-    return pytest.RunResult(done.code, done.out.splitlines(), done.err.splitlines(), time.monotonic() - begun)
+    return pytest.RunResult(
+        done.code, done.out.splitlines(), done.err.splitlines(), time.monotonic() - begun
+    )
 
 
 @functools.cache
@@ -138,14 +140,20 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
     monkeypatch.setattr(subprocess, "Popen", Copy)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
-    monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
+    monkeypatch.setattr(
+        sys, "path_importer_cache", dict(sys.path_importer_cache)
+    )  # without the folders of other tests
 
 
 def set_keys(monkeypatch, **values):
     """Give options a value in the configuration of all sessions, which marks and the command line replace; or None."""
     given = os.environ.get("PYTEST_ADDOPTS", "").split()
     kept = [each for each in given if each.split("=")[1].removeprefix("pafot_") not in values]
-    kept += [f"--override-ini=pafot_{name}={value}" for name, value in values.items() if value is not None]
+    kept += [
+        f"--override-ini=pafot_{name}={value}"
+        for name, value in values.items()
+        if value is not None
+    ]
     monkeypatch.setenv("PYTEST_ADDOPTS", " ".join(kept))
 
 
@@ -170,7 +178,11 @@ ALL_INSTALLED = metadata.distributions
 @functools.cache
 def _installed():
     """Return the packages in which pytest may find plugins; it would read all packages again in each session."""
-    return [Installed(each._path) for each in ALL_INSTALLED() if each.entry_points.select(group="pytest11")]
+    return [
+        Installed(each._path)
+        for each in ALL_INSTALLED()
+        if each.entry_points.select(group="pytest11")
+    ]
 
 
 def _names_of_fixtures(plugin):
@@ -180,7 +192,9 @@ def _names_of_fixtures(plugin):
 
 @functools.cache
 def _fixtures_in(source):
-    return [name for name in dir(source) if isinstance(inspect.getattr_static(source, name), FIXTURE)]
+    return [
+        name for name in dir(source) if isinstance(inspect.getattr_static(source, name), FIXTURE)
+    ]
 
 
 def _names_of_hooks(plugin):
@@ -197,7 +211,11 @@ HOOK = getattr(pluggy._manager, "_static_hook_attr", None)
 
 
 def _hook(plugin, name):
-    return _hook_in(plugin, name) if isinstance(plugin, types.ModuleType) and _is_shared(plugin) else HOOK(plugin, name)
+    return (
+        _hook_in(plugin, name)
+        if isinstance(plugin, types.ModuleType) and _is_shared(plugin)
+        else HOOK(plugin, name)
+    )
 
 
 @functools.cache
@@ -220,7 +238,10 @@ def _rewritten(path, config):
 
 def _in_file(code, name):
     """Return the code, and all code in it, as if it came from a file of this name."""
-    constants = tuple(_in_file(each, name) if isinstance(each, types.CodeType) else each for each in code.co_consts)
+    constants = tuple(
+        _in_file(each, name) if isinstance(each, types.CodeType) else each
+        for each in code.co_consts
+    )
     return code.replace(co_filename=name, co_consts=constants)
 
 
@@ -272,7 +293,9 @@ class Copy(subprocess.Popen):
         asked = dict(zip(ASKED, given, strict=True))
         asked["without"] = _modules_of_the_project()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
+            warnings.simplefilter(
+                "ignore", DeprecationWarning
+            )  # a thread of a worker of pytest-xdist only waits
             self.pid = os.fork()
         if not self.pid:
             sys.orig_argv, (sys.argv, call) = args, found
@@ -292,8 +315,13 @@ def _call_of(command):
             return ["-c", *arguments], lambda: _with_room(exec, program, {"__name__": "__main__"})
         case [sys.executable, "-u", "-c", str() as program] if program == WORKER:
             return ["-c"], lambda: _with_room(exec, program, {"__name__": "__main__"})
-        case [sys.executable, str() as script, *arguments] if script.endswith(".py") and script == Path(script).name:
-            return [script, *arguments], lambda: _with_room(runpy.run_path, script, run_name="__main__") and 0
+        case [sys.executable, str() as script, *arguments] if (
+            script.endswith(".py") and script == Path(script).name
+        ):
+            return [
+                script,
+                *arguments,
+            ], lambda: _with_room(runpy.run_path, script, run_name="__main__") and 0
     return None
 
 
@@ -344,23 +372,38 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
             os.dup2(stream, number)
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in [int(each.name) for each in Path("/dev/fd").iterdir()]:
-        if number > 2 and number not in (nothing, *pass_fds):  # closed, it might be a new file's when its object ends
+        if number > 2 and number not in (
+            nothing,
+            *pass_fds,
+        ):  # closed, it might be a new file's when its object ends
             os.dup2(nothing, number, inheritable=False)
     sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
-    sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
+    sys.stdout, sys.stderr = (
+        open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+        for number in (1, 2)
+    )
     sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr
     warnings.resetwarnings()
     faulthandler.disable()
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
-        if signal.getsignal(number) != signal.SIG_IGN:  # pygame's handlers, which abort, are not even known here
-            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+        if (
+            signal.getsignal(number) != signal.SIG_IGN
+        ):  # pygame's handlers, which abort, are not even known here
+            signal.signal(
+                number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+            )
     if env is not None:
         os.environ.clear()
         os.environ.update(env)
-    tempfile.tempdir = os.environ.get("TMPDIR")  # finding it out writes a file, which a killed process leaves
+    tempfile.tempdir = os.environ.get(
+        "TMPDIR"
+    )  # finding it out writes a file, which a killed process leaves
     sys.dont_write_bytecode |= bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
     os.chdir(cwd or ".")
-    sys.path[:0] = [str(Path.cwd()), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    sys.path[:0] = [
+        str(Path.cwd()),
+        *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)),
+    ]
     for name in without:
         del sys.modules[name]
     importlib.invalidate_caches()

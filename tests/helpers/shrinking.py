@@ -5,7 +5,13 @@ from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, sort_key
 
 
 def shrink(
-    scenario, attempt, *, starts=lambda scenario: (), expect=lambda candidates, more: None, likely=None, **options
+    scenario,
+    attempt,
+    *,
+    starts=lambda scenario: (),
+    expect=lambda candidates, more: None,
+    likely=None,
+    **options,
 ):
     """Return the simplest scenario and the statistics.
 
@@ -36,7 +42,9 @@ def shrunk_by(given, fails, *, rollouts, **options):
         return candidate if fails(candidate) else None
 
     simplest, how = shrink(given, attempt, rollouts=rollouts, **options)
-    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts, "asked twice, or more often than allowed"
+    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts, (
+        "asked twice, or more often than allowed"
+    )
     assert fails(simplest), "the result does not fail"
     assert sort_key(simplest) <= sort_key(given), "the result is larger"
     return simplest, how

@@ -52,7 +52,9 @@ def driven(*place, **plan):
 def hit(ego, *npcs, **road) -> Trace:
     """Return the run up to the ego's first contact with the first NPC, with the side that was hit."""
     trace = crash(ego, *npcs, **road)
-    ego_before, npc_before = (Box(*states[[X, Y, HEADING]], LENGTH, WIDTH) for states in trace.states[-2, :2])
+    ego_before, npc_before = (
+        Box(*states[[X, Y, HEADING]], LENGTH, WIDTH) for states in trace.states[-2, :2]
+    )
     return replace(trace, collision=replace(trace.collision, side=side_hit(ego_before, npc_before)))
 
 
@@ -72,7 +74,14 @@ def at_lane_end(ego, npc, *, end) -> Trace:
 def cut_in(gap, *, slower, brakes=(), ego_brakes=(), lasts=2.0) -> Trace:
     """The run in which an NPC from the left crosses the line into the ego's lane after 2.3 s, at a gap ahead of it."""
     speed = 20.0 - slower
-    npc = driven(5.0 + gap + slower * 2.33, LEFT, speed=speed, brakes=brakes, shifts=[(2.0, OWN, lasts)], seconds=30.0)
+    npc = driven(
+        5.0 + gap + slower * 2.33,
+        LEFT,
+        speed=speed,
+        brakes=brakes,
+        shifts=[(2.0, OWN, lasts)],
+        seconds=30.0,
+    )
     return hit(driven(0.0, brakes=ego_brakes, seconds=30.0), npc)
 
 
@@ -950,4 +959,7 @@ TOLD = {
     },
 }  # fmt: skip
 """By heading and name: text, trace, responsibility, fault and rule of a Situation."""
-SITUATIONS = {heading: tuple(Situation(name, *told) for name, told in each.items()) for heading, each in TOLD.items()}
+SITUATIONS = {
+    heading: tuple(Situation(name, *told) for name, told in each.items())
+    for heading, each in TOLD.items()
+}

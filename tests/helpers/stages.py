@@ -22,5 +22,6 @@ def mostly_oracle(values: Iterable[Any], *always: Any) -> list[Any]:
     unknown = [value for value in always if value not in values]
     assert not unknown, f"expected some of {values}, received {unknown}"
     return [
-        value if value in always else oracle(*(value if isinstance(value, tuple) else (value,))) for value in values
+        value if value in always else oracle(*(value if isinstance(value, tuple) else (value,)))
+        for value in values
     ]

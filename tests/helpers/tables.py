@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 
-def table(names: str | tuple[str, ...], rows: Iterable[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def table(
+    names: str | tuple[str, ...], rows: Iterable[Any]
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Run a test with each row in one item, unlike ``pytest.mark.parametrize``, and name all rows that fail."""
     names = tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
     values = [row if len(names) > 1 else (row,) for row in rows]
@@ -25,7 +27,10 @@ def table(names: str | tuple[str, ...], rows: Iterable[Any]) -> Callable[[Callab
                 try:
                     test(*arguments, **fixtures, **given)
                 except (Exception, pytest.fail.Exception) as error:  # noqa: BLE001  (reported below, with all others)
-                    error.add_note("with " + ", ".join(f"{name}={value!r}" for name, value in given.items())[:400])
+                    error.add_note(
+                        "with "
+                        + ", ".join(f"{name}={value!r}" for name, value in given.items())[:400]
+                    )
                     failures.append(error)
             if failures:
                 raise BaseExceptionGroup(f"{len(failures)} of {len(values)} rows fail", failures)

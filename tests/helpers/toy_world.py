@@ -15,7 +15,9 @@ def scenario(number):
 def trace_of(scenario):
     """Return a trace in which nothing moves."""
     states = np.full((2, 2, 7), float(scenario.seed))
-    return traces.trace_of(*states, scenario=scenario, lanes=traces.straight_lanes(1), arrivals=((0,),))
+    return traces.trace_of(
+        *states, scenario=scenario, lanes=traces.straight_lanes(1), arrivals=((0,),)
+    )
 
 
 class Toy:

@@ -29,7 +29,9 @@ def straight_lanes(count=4, *, heading=0.0, width=LANE_WIDTH, speed_limit=26.8):
     """Return parallel lanes, from the left, whose centre lines are at y = 0, 4, 8 ... for heading 0."""
     common = {"heading": heading, "length": 10_000.0, "width": width, "speed_limit": speed_limit}
     across = [width * index for index in range(count)]
-    return tuple(Lane(x=-np.sin(heading) * each, y=np.cos(heading) * each, **common) for each in across)
+    return tuple(
+        Lane(x=-np.sin(heading) * each, y=np.cos(heading) * each, **common) for each in across
+    )
 
 
 def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ticks=None):
@@ -43,10 +45,21 @@ def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ti
         times = np.arange(ticks + 1) / 15
         x, y = x + times * speed * np.cos(heading), y + times * speed * np.sin(heading)
     lanes = np.round(y / LANE_WIDTH) if lane is None else lane
-    return np.stack(np.broadcast_arrays(*np.atleast_1d(x, y, heading, speed, acceleration, 0.0, lanes)), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(*np.atleast_1d(x, y, heading, speed, acceleration, 0.0, lanes)), axis=-1
+    )
 
 
-def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.COMPLETED, physics_hz=15, lanes=None, **fields):
+def trace_of(
+    ego,
+    *npcs,
+    sizes=None,
+    scenario=None,
+    outcome=Outcome.COMPLETED,
+    physics_hz=15,
+    lanes=None,
+    **fields,
+):
     """Return a trace of vehicles from :func:`vehicle`; with the outcome ``collision``, NPC 0 is hit by default."""
     rows = max(len(states) for states in (ego, *npcs))
     states = np.stack([np.broadcast_to(states, (rows, 7)) for states in (ego, *npcs)], axis=1)
@@ -58,7 +71,9 @@ def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.COMPLETED, p
         executed=scenario,
         outcome=outcome,
         states=states,
-        sizes=np.full((states.shape[1], 2), (LENGTH, WIDTH)) if sizes is None else np.asarray(sizes, dtype=float),
+        sizes=np.full((states.shape[1], 2), (LENGTH, WIDTH))
+        if sizes is None
+        else np.asarray(sizes, dtype=float),
         lanes=straight_lanes() if lanes is None else lanes,
         physics_hz=physics_hz,
         ads_hz=fields.pop("ads_hz", 5),
@@ -66,7 +81,9 @@ def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.COMPLETED, p
     )
 
 
-def collision_at(tick, *, npc=0, cell=Cell.FRONT, side="front", physics_hz=15, ego_speed=20.0, npc_speed=10.0):
+def collision_at(
+    tick, *, npc=0, cell=Cell.FRONT, side="front", physics_hz=15, ego_speed=20.0, npc_speed=10.0
+):
     """Return a collision, by default with the ego's front."""
     return Collision(
         tick=tick, time=tick / physics_hz, npc=npc, side=side, cell=cell,
@@ -88,5 +105,7 @@ def random_states(rng, rows, vehicles, *, spread=25.0):
 def blamed_on(responsible, trace):
     """Return a run for whose collision some vehicles are responsible, whatever the rules say."""
     run = Run(trace)
-    vars(run)["attribution"] = Attribution(responsibility=responsible, tick=None, time=None)  # as if it had been read
+    vars(run)["attribution"] = Attribution(
+        responsibility=responsible, tick=None, time=None
+    )  # as if it had been read
     return run

@@ -89,7 +89,9 @@ class Watch:
         if event == "call":
             name = frame.f_code.co_filename
             if name not in self._files:
-                self._files[name] = name.removeprefix(self._folder) if name.startswith(self._folder) else ""
+                self._files[name] = (
+                    name.removeprefix(self._folder) if name.startswith(self._folder) else ""
+                )
             here, (caller, is_loading) = self._files[name], self._stack[-1]
             is_loading = is_loading or (bool(here) and frame.f_code.co_name == "<module>")
             if here and here != caller and not is_loading:
@@ -109,7 +111,9 @@ def main(folder: Path) -> None:
         rooms = importlib.import_module(f"pytest_pafot.{room}").__path__
         for module in pkgutil.walk_packages(rooms, f"pytest_pafot.{room}."):
             importlib.import_module(module.name)
-    importlib.import_module("pytest_pafot.plugin.session").LOG_SECONDS = 1e9  # a slow session would report its progress
+    importlib.import_module(
+        "pytest_pafot.plugin.session"
+    ).LOG_SECONDS = 1e9  # a slow session would report its progress
     gc.disable()  # the end of a generator that is garbage is a call, from wherever the collection happens to be
     os.register_at_fork(after_in_child=lambda: sys.setprofile(None))
     os.chdir(folder)
@@ -125,7 +129,9 @@ def main(folder: Path) -> None:
             sys.stdout.flush()
             os._exit(status)
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        assert status == pytest.ExitCode.TESTS_FAILED, f"{route}: expected a failure to follow, received {status}"
+        assert status == pytest.ExitCode.TESTS_FAILED, (
+            f"{route}: expected a failure to follow, received {status}"
+        )
 
 
 if __name__ == "__main__":

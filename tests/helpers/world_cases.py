@@ -25,7 +25,10 @@ def constant_speed():
 
 def weaving():
     """Return an ADS that speeds up and slows down while it swerves, sometimes off the road."""
-    return lambda observation: (3 * math.sin(0.7 * observation.time), 0.05 * math.sin(1.3 * observation.time))
+    return lambda observation: (
+        3 * math.sin(0.7 * observation.time),
+        0.05 * math.sin(1.3 * observation.time),
+    )
 
 
 def stopping():
@@ -56,15 +59,20 @@ TRAFFICS = (*STYLES,)
 """One traffic of each style, and one with changed parameters."""
 
 
-def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:
+def chains(
+    rng: random.Random, npcs: int, genes: int, speed_limit: float
+) -> list[list[PositionInstruction]]:
     """Return random chains, which may be invalid, with speeds over the whole range."""
     top = int(speed_limit * 10 + 1e-6)
     return [
-        [PositionInstruction(rng.randint(1, 8), rng.randint(0, top) / 10) for _ in range(genes)] for _ in range(npcs)
+        [PositionInstruction(rng.randint(1, 8), rng.randint(0, top) / 10) for _ in range(genes)]
+        for _ in range(npcs)
     ]
 
 
-def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs: int | None = None) -> Scenario:
+def random_scenario(
+    rng: random.Random, *, lanes: int, speed_limit: float, npcs: int | None = None
+) -> Scenario:
     """Return a short scenario for a highway with this many lanes, any traffic, and chains of different lengths."""
     lane = rng.randrange(lanes)
     free = 8 if 0 < lane < lanes - 1 else 5
@@ -73,7 +81,9 @@ def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs:
         [chains(rng, 1, rng.randint(1, 4), speed_limit)[0] for _ in range(count)],
         seed=rng.randrange(2**40),
         ego_lane=lane,
-        ego_speed=rng.choice([0.0, 5.0, speed_limit, rng.uniform(0, speed_limit), 0.8 * speed_limit]),
+        ego_speed=rng.choice(
+            [0.0, 5.0, speed_limit, rng.uniform(0, speed_limit), 0.8 * speed_limit]
+        ),
         gene_seconds=rng.choice([1.0, 2.0, 4.0]),
         traffic=rng.choice(TRAFFICS),
     )
@@ -118,11 +128,27 @@ def bounds_of_motion(s, limits, top, own, dt):
         "acceleration": (acceleration, -own["braking"], own["acceleration"]),
         "jerk": (jerk, -limits.jerk, limits.jerk),
         "speed": (speed, 0.0, top),
-        "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
-        "turning of the course": (speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt, -lateral, lateral),
+        "turning of the heading": (
+            speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt,
+            -lateral,
+            lateral,
+        ),
+        "turning of the course": (
+            speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt,
+            -lateral,
+            lateral,
+        ),
         "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
-        "motion follows course, x": (np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt, 0.0, 0.0),
-        "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
+        "motion follows course, x": (
+            np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt,
+            0.0,
+            0.0,
+        ),
+        "motion follows course, y": (
+            np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt,
+            0.0,
+            0.0,
+        ),
     }, course
 
 
@@ -136,7 +162,10 @@ def own_limits(trace, limits, speed_limit):
     kinds = trace.scenario.all_vehicles
     top = np.array([min(limits.overspeed * speed_limit, kind.top_speed) for kind in kinds])
     names = ("acceleration", "braking", "lateral_acceleration")
-    return top, {name: np.array([min(getattr(limits, name), getattr(kind, name)) for kind in kinds]) for name in names}
+    return top, {
+        name: np.array([min(getattr(limits, name), getattr(kind, name)) for kind in kinds])
+        for name in names
+    }
 
 
 def beyond(bounds):

@@ -43,7 +43,10 @@ chains = st.lists(crossings.map(lambda one: [one]) | cells, min_size=1, max_size
 
 def mixed(npcs):
     """Return chains of instructions from chains of cells."""
-    return [[each if isinstance(each, CrossingInstruction) else one(each) for each in chain] for chain in npcs]
+    return [
+        [each if isinstance(each, CrossingInstruction) else one(each) for each in chain]
+        for chain in npcs
+    ]
 
 
 def one(cell=2, speed=20.0):
@@ -88,7 +91,10 @@ class TestInstructions:
 
     def test_they_say_where_and_when_in_words(self):
         assert crosses().goal == "o1>o3 0.5 s after the ego leaves"
-        assert crosses(slot=-2, act="hold").goal == "o1>o3 2 s before the ego enters, holds at the line"
+        assert (
+            crosses(slot=-2, act="hold").goal
+            == "o1>o3 2 s before the ego enters, holds at the line"
+        )
         assert crosses(slot=0, act="stop").goal == "o1>o3 together with the ego, stops there"
 
     @table(
@@ -169,7 +175,9 @@ class TestScenarios:
 
 def driven(way, instruction, start, seconds):
     """Return an NPC's place at each step of the oracle, if it drives at its speed, or as fast as bends allow."""
-    speeds = np.minimum(way.speeds, instruction.speed).tolist()  # every `STEP` metres, and linear between these
+    speeds = np.minimum(
+        way.speeds, instruction.speed
+    ).tolist()  # every `STEP` metres, and linear between these
     last, places = len(speeds) - 1, [start]
     while len(places) * EACH < seconds:
         steps = min(max(places[-1] / STEP, 0.0), last)
@@ -207,7 +215,12 @@ def test_waiting_npc_reaches_its_line_when_due(instruction):
     places, time = start, 0.0
     while line - places > 0.5:
         room = line - places
-        speed = min(instruction.speed, float(way.speeds[int(places / STEP)]), 0.7 * room, math.sqrt(5.0 * room))
+        speed = min(
+            instruction.speed,
+            float(way.speeds[int(places / STEP)]),
+            0.7 * room,
+            math.sqrt(5.0 * room),
+        )
         places, time = places + 0.01 * speed, time + 0.01
     wanted = JUNCTION.planned_entry(instruction) - (1.0 if instruction.act == "late" else 0.0)
     starts_at_once = JUNCTION.start(instruction) > line - instruction.speed**2 / 5.0 - 0.5

@@ -28,8 +28,12 @@ seeds = st.integers(0, 2**63 - 1)
 roads = st.sampled_from(
     [
         ALL_CELLS,
-        frozenset({Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}),  # ego on the left lane
-        frozenset({Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}),  # ego on the right lane
+        frozenset(
+            {Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}
+        ),  # ego on the left lane
+        frozenset(
+            {Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}
+        ),  # ego on the right lane
         frozenset({Cell.FRONT, Cell.REAR}),  # one lane
     ]
 )
@@ -47,7 +51,12 @@ def gene_requests(draw, most=8):
 def test_cells_run_clockwise_from_the_front_left():
     around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
     assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
-    assert [Cell(number).label for number in (1, 2, 5, 8)] == ["front-left", "front", "rear-right", "left"]
+    assert [Cell(number).label for number in (1, 2, 5, 8)] == [
+        "front-left",
+        "front",
+        "rear-right",
+        "left",
+    ]
 
 
 def test_the_ring_closes_between_8_and_1():
@@ -97,7 +106,9 @@ def test_both_neighbours_are_drawn_equally_for_every_npc():
 
 
 def test_draws_of_one_scenario_are_independent():
-    draws = [[toss(seed, npc, gene) for npc, gene in product(range(3), range(3))] for seed in range(2000)]
+    draws = [
+        [toss(seed, npc, gene) for npc, gene in product(range(3), range(3))] for seed in range(2000)
+    ]
     for a, b in product(range(9), repeat=2):
         alike = sum(draw[a] == draw[b] for draw in draws)
         assert a == b or 880 <= alike <= 1120, (a, b, alike)
@@ -153,7 +164,10 @@ def test_executed_cells_are_executed_again_for_any_coins(case, others):
 def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed):
     coins = [toss(seed, npc, 0) for npc in range(len(requested))]
     if len(requested) > len(existing):
-        with pytest.raises(ValueError, match=f"received {len(requested)} NPCs for {len(existing)} existing cells. Use"):
+        with pytest.raises(
+            ValueError,
+            match=f"received {len(requested)} NPCs for {len(existing)} existing cells. Use",
+        ):
             repair_gene(None, requested, existing, coins)
         return
     executed = repair_gene(None, requested, existing, coins)
@@ -178,8 +192,12 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
     (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
     (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
 ])  # fmt: skip
-def test_skipping_repair_goes_on_to_the_next_cell_that_exists(requested, existing, clockwise, executed):
-    assert repair_gene([Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True) == (executed,)
+def test_skipping_repair_goes_on_to_the_next_cell_that_exists(
+    requested, existing, clockwise, executed
+):
+    assert repair_gene(
+        [Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True
+    ) == (executed,)
 
 
 @given(
@@ -188,9 +206,18 @@ def test_skipping_repair_goes_on_to_the_next_cell_that_exists(requested, existin
     st.frozensets(st.sampled_from(Cell)),
     st.booleans(),
 )
-def test_result_of_the_skipping_repair_is_distinct_and_a_fixed_point(previous, data, existing, clockwise):
+def test_result_of_the_skipping_repair_is_distinct_and_a_fixed_point(
+    previous, data, existing, clockwise
+):
     requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
-    executed = repair_gene(previous, requested, existing, [clockwise] * len(previous), skipping=True)
+    executed = repair_gene(
+        previous, requested, existing, [clockwise] * len(previous), skipping=True
+    )
     assert len(set(executed)) == len(executed)
-    assert repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True) == executed
-    assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))
+    assert (
+        repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True)
+        == executed
+    )
+    assert all(
+        cell in existing or cell == before for cell, before in zip(executed, previous, strict=True)
+    )

@@ -26,7 +26,9 @@ from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.support.text import capitalised
 from tests.helpers.tables import table
 
-instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
+instructions = st.builds(
+    PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10)
+)
 raw_chains = st.lists(st.lists(instructions, min_size=1, max_size=6), min_size=1, max_size=8)
 scenarios = st.builds(
     Scenario.repaired,
@@ -61,7 +63,9 @@ def test_speeds_are_exact_tenths_however_they_were_computed(tenths):
 
 @table("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
 def test_invalid_cell_is_refused_with_the_range(cell):
-    with pytest.raises(ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"):
+    with pytest.raises(
+        ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"
+    ):
         PositionInstruction(cell, 10.0)
 
 
@@ -71,15 +75,22 @@ def test_a_speed_that_is_no_number_is_refused(speed):
         PositionInstruction(2, speed)
 
 
-@table(("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")])
+@table(
+    ("speed", "nearest"),
+    [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")],
+)
 def test_invalid_speed_is_refused_with_nearest_valid_one(speed, nearest):
-    with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}. The nearest valid speed is {nearest}")):
+    with pytest.raises(
+        ScenarioError, match=re.escape(f"received {speed!r}. The nearest valid speed is {nearest}")
+    ):
         PositionInstruction(2, speed)
 
 
 @table("speed", [1e4, 1e300, 1.7e308, 10**300])
 def test_an_absurd_speed_is_refused_with_the_bound(speed):
-    with pytest.raises(ScenarioError, match="speed: expected a speed of at most 1000 m/s, received"):
+    with pytest.raises(
+        ScenarioError, match="speed: expected a speed of at most 1000 m/s, received"
+    ):
         PositionInstruction(2, speed)
 
 
@@ -95,13 +106,17 @@ def test_values_are_frozen_and_hashable():
 @given(scenarios)
 def test_a_scenario_survives_pickling_and_repairing(scenario):
     assert pickle.loads(pickle.dumps(scenario)) == scenario
-    assert Scenario.repaired(scenario.npcs, seed=(scenario.seed + 1) % MAX_SEED).npcs == scenario.npcs
+    assert (
+        Scenario.repaired(scenario.npcs, seed=(scenario.seed + 1) % MAX_SEED).npcs == scenario.npcs
+    )
 
 
 @given(raw_chains, st.integers(0, MAX_SEED))
 def test_repair_preserves_speeds_and_first_cells_where_possible(chains, seed):
     scenario = Scenario.repaired(chains, seed=seed)
-    assert [[g.speed for g in chain] for chain in scenario.npcs] == [[g.speed for g in chain] for chain in chains]
+    assert [[g.speed for g in chain] for chain in scenario.npcs] == [
+        [g.speed for g in chain] for chain in chains
+    ]
     assert scenario.npcs[0][0].cell == chains[0][0].cell
     assert scenario.seed == seed
 
@@ -208,7 +223,8 @@ def test_error_fields_are_readable_also_after_pickling():
 
 def test_two_npcs_in_one_cell_are_refused():
     expected = (
-        "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell 2, which npcs[0] occupies"
+        "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell "
+        "2, which npcs[0] occupies"
     )
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
@@ -234,11 +250,17 @@ class TestLaneInstructions:
 
     def test_lane_instructions_take_three_lanes_and_tenths(self):
         assert LaneInstruction("left", 12).speed == 12.0
-        assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [0, -1, 1]
+        assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [
+            0,
+            -1,
+            1,
+        ]
 
     @table("lane", ["up", "", None, 1, "Left"])
     def test_another_lane_is_refused_with_those_that_exist(self, lane):
-        with pytest.raises(ScenarioError, match="lane: expected one of keep, left, right, received"):
+        with pytest.raises(
+            ScenarioError, match="lane: expected one of keep, left, right, received"
+        ):
             LaneInstruction(lane, 10.0)
 
     def test_lane_speed_between_tenths_is_refused(self):
@@ -263,13 +285,20 @@ class TestLaneInstructions:
         scenario = Scenario(npcs=((LaneInstruction("right", 10.0),),))
         assert scenario.canonical() == '[[[["right",10.0]]],0,1,22.0,10.0]'
         assert "right@10" in str(scenario)
-        others = [Scenario(npcs=((gene,),)).id for gene in (LaneInstruction("left", 10.0), one(4, 10.0))]
+        others = [
+            Scenario(npcs=((gene,),)).id for gene in (LaneInstruction("left", 10.0), one(4, 10.0))
+        ]
         assert len({scenario.id, *others}) == 3
 
     def test_mixed_kinds_in_a_chain_are_refused_with_place(self):
         lane = LaneInstruction("keep", 1.0)
-        for chain, kind in (([one(), lane], "PositionInstruction"), ([lane, one()], "LaneInstruction")):
-            with pytest.raises(ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind}, as in npcs\[1\]\[0\]"):
+        for chain, kind in (
+            ([one(), lane], "PositionInstruction"),
+            ([lane, one()], "LaneInstruction"),
+        ):
+            with pytest.raises(
+                ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind}, as in npcs\[1\]\[0\]"
+            ):
                 Scenario(npcs=([one()], chain))
 
     def test_npcs_may_differ_in_kind_and_only_cells_are_repaired(self):

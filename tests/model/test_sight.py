@@ -24,13 +24,20 @@ def seen(sight, *places, seed=1, tick=0):
 
 
 def test_vehicles_are_seen_up_to_the_range():
-    assert seen(Sight(range=5.0), (0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (3.0, 4.01, 0.0), (-5.0, 0.0, 0.0)) == [0, 2]
+    assert seen(
+        Sight(range=5.0), (0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (3.0, 4.01, 0.0), (-5.0, 0.0, 0.0)
+    ) == [0, 2]
 
 
 @pytest.mark.parametrize("seed", mostly_oracle([0, 7, 2**63 - 1], 2**63 - 1))
 def test_noise_has_requested_deviation_and_no_bias(seed):
-    sight, two = Sight(noise={"position": 0.5, "speed": 2.0}), states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0))
-    errors = np.array([[each[1:] for each in sight.glimpses(two, seed, tick)] for tick in range(2000)])
+    sight, two = (
+        Sight(noise={"position": 0.5, "speed": 2.0}),
+        states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0)),
+    )
+    errors = np.array(
+        [[each[1:] for each in sight.glimpses(two, seed, tick)] for tick in range(2000)]
+    )
     count = errors[..., 0].size
     for column, deviation in enumerate((0.5, 0.5, 2.0)):
         values = errors[..., column].ravel()
@@ -82,7 +89,12 @@ def test_sight_is_described_by_its_imperfections(sight, text):
 
 
 def test_numbers_of_any_kind_become_pythons_own():
-    sight = Sight(range=np.int64(50), latency=np.float64(0.5), noise={"speed": np.float32(1)}, dropout=Fraction(1, 4))
+    sight = Sight(
+        range=np.int64(50),
+        latency=np.float64(0.5),
+        noise={"speed": np.float32(1)},
+        dropout=Fraction(1, 4),
+    )
     assert sight == Sight(range=50, latency=0.5, noise={"speed": 1.0}, dropout=0.25)
     told = [sight.range, sight.latency, sight.noise["speed"], sight.dropout]
     assert [type(each) for each in told] == [int, float, float, float]

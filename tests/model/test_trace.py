@@ -9,14 +9,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    HEADING,
+    LANE,
+    SPEED,
+    STEERING,
+    Outcome,
+    Trace,
+    X,
+    Y,
+)
 from tests.helpers.tables import table
 from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 
 
 def made(states, sizes, **fields):
     scenario = scenario_of(1)
-    fields |= {"outcome": Outcome.COMPLETED, "lanes": straight_lanes(), "physics_hz": 15, "ads_hz": 5}
+    fields |= {
+        "outcome": Outcome.COMPLETED,
+        "lanes": straight_lanes(),
+        "physics_hz": 15,
+        "ads_hz": 5,
+    }
     return Trace(scenario=scenario, executed=scenario, states=states, sizes=sizes, **fields)
 
 
@@ -48,7 +63,9 @@ def test_copied_or_pickled_trace_is_read_only(copied):
 
 @table("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
 def test_states_of_wrong_shape_are_refused(shape):
-    with pytest.raises(ValueError, match=r"states: expected the shape \(ticks \+ 1, vehicles, 7\), received \("):
+    with pytest.raises(
+        ValueError, match=r"states: expected the shape \(ticks \+ 1, vehicles, 7\), received \("
+    ):
         made(np.zeros(shape), np.zeros((2, 2)))
 
 
@@ -98,7 +115,9 @@ def test_straight_road_has_a_track_too():
 
 def test_both_kinds_of_road_agree_on_a_straight_one():
     straight = trace_of(
-        vehicle(0.0, speed=10.0, ticks=30), vehicle(30.0, lane=1, y=3.0, ticks=30), lanes=straight_lanes(2)
+        vehicle(0.0, speed=10.0, ticks=30),
+        vehicle(30.0, lane=1, y=3.0, ticks=30),
+        lanes=straight_lanes(2),
     )
     recorded = replace(straight, track=straight.road.track)
     one, other = straight.road, recorded.road

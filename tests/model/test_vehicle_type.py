@@ -21,13 +21,22 @@ BUS = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
 
 
 def of(*vehicles, npcs=3):
-    return Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in range(1, npcs + 1)], vehicles=vehicles)
+    return Scenario(
+        npcs=[[PositionInstruction(cell, 20.0)] for cell in range(1, npcs + 1)], vehicles=vehicles
+    )
 
 
 def test_numbers_of_ready_vehicles_stay():
     """Files contain only their names, so that with other numbers saved scenarios would change."""
     numbers = [
-        (each.length, each.width, each.acceleration, each.braking, each.lateral_acceleration, each.top_speed)
+        (
+            each.length,
+            each.width,
+            each.acceleration,
+            each.braking,
+            each.lateral_acceleration,
+            each.top_speed,
+        )
         for each in (CAR, VAN, TRUCK, MOTORCYCLE)
     ]
     assert numbers == [
@@ -58,7 +67,9 @@ def test_own_vehicle_out_of_bounds_is_refused(fields, place):
 def test_limits_are_the_lower_ones_of_world_and_vehicle():
     world = NpcLimits()
     assert world.for_vehicle(CAR) is world.for_vehicle(VAN) is world
-    assert world.for_vehicle(TRUCK) == replace(world, acceleration=1.3, braking=7.0, lateral_acceleration=3.4)
+    assert world.for_vehicle(TRUCK) == replace(
+        world, acceleration=1.3, braking=7.0, lateral_acceleration=3.4
+    )
     assert world.for_vehicle(MOTORCYCLE) == world
     assert NpcLimits(braking=12.0).for_vehicle(MOTORCYCLE).braking == 10.0
 
@@ -108,9 +119,18 @@ def test_only_paper_traffic_is_not_attentive():
     assert [style for style in STYLES if not STYLES[style].is_attentive] == [PAPERS]
 
 
-@table("given", [None, 3, True, [], ["hostile"], "fast", "", {"style": "paper"}, np.array(["paper", "x"])])
+@table(
+    "given",
+    [None, 3, True, [], ["hostile"], "fast", "", {"style": "paper"}, np.array(["paper", "x"])],
+)
 def test_what_is_no_style_is_refused(given):
-    with pytest.raises(ScenarioError, match="traffic: expected one of paper, hostile, assertive, everyday, received"):
+    with pytest.raises(
+        ScenarioError,
+        match="traffic: expected one of paper, hostile, assertive, everyday, received",
+    ):
         Scenario(npcs=[[PositionInstruction(2, 20.0)]], traffic=given)
-    with pytest.raises(ValueError, match="traffic: expected one of paper, hostile, assertive, everyday, but received"):
+    with pytest.raises(
+        ValueError,
+        match="traffic: expected one of paper, hostile, assertive, everyday, but received",
+    ):
         SearchSpace(traffic=given)

@@ -6,7 +6,13 @@ import pickle
 import sys
 import threading
 import time
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from functools import partial
 from types import ModuleType
 
@@ -80,7 +86,13 @@ def pool_of(tmp_path, monkeypatch):
 
 
 def job_of(folder, ads=idle, world=None):
-    return Job(world=world or Toy(), policy=Policy(ads), records=folder, owner="test_it.py::test_it", root=folder)
+    return Job(
+        world=world or Toy(),
+        policy=Policy(ads),
+        records=folder,
+        owner="test_it.py::test_it",
+        root=folder,
+    )
 
 
 def fetched(pool, scenarios=SCENARIOS):
@@ -94,7 +106,9 @@ def numbers(answers):
 
 def test_runs_equal_local_runs_in_their_order(pool_of):
     answers = fetched(pool_of(Inline()))
-    assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers)
+    assert all(
+        np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers
+    )
     assert numbers(answers) == list(range(48))
 
 
@@ -128,7 +142,11 @@ def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
 def test_cluster_whose_connections_or_tasks_fail_twice_is_not_used_again(pool_of, error):
     executor = Inline(lost=range(1, 99), error=error)
     pool = pool_of(executor)
-    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [
+        tuple,
+        RuntimeError,
+        RuntimeError,
+    ]
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
     told = f"--pafot-dask: this process ran the scenarios, because the cluster failed: {error.__name__}: pafot-1"
@@ -153,7 +171,9 @@ def test_cluster_that_refuses_tasks_is_not_used_again(pool_of):
 def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch):
     pool = pool_of(Inline())
     here = versions_here()
-    monkeypatch.setattr(dask_cluster, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"})
+    monkeypatch.setattr(
+        dask_cluster, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"}
+    )
     received = rf"at .*: python {here['python']} in this session, 3\.9\.1 there; numpy .* in this session, 1\.0 there"
     with pytest.raises(ExecutionError, match=received):
         fetched(pool)
@@ -162,14 +182,18 @@ def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch)
 
 def test_what_a_worker_lacks_is_told(pool_of):
     executor = Inline(lost=range(9), error=ModuleNotFoundError)
-    with pytest.raises(ExecutionError, match=r"expected workers .* received the error ModuleNotFoundError: pafot-1"):
+    with pytest.raises(
+        ExecutionError, match=r"expected workers .* received the error ModuleNotFoundError: pafot-1"
+    ):
         fetched(pool_of(executor), SCENARIOS[:1])
 
 
 def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
     module = ModuleType("my_planner")
     module.__file__ = str(tmp_path / "my_planner.py")
-    exec("ANSWER = 7\nclass Planner:\n    def __call__(self, number): return ANSWER\n", vars(module))
+    exec(
+        "ANSWER = 7\nclass Planner:\n    def __call__(self, number): return ANSWER\n", vars(module)
+    )
     monkeypatch.setitem(sys.modules, "my_planner", module)
     parcel = packed(job_of(tmp_path, module.Planner))
     monkeypatch.delitem(sys.modules, "my_planner")
@@ -184,7 +208,11 @@ class Unable(InThisProcess):
 
 def test_runs_impossible_on_workers_happen_in_the_session(pool_of):
     pool = pool_of(Inline(), worker=Unable)
-    assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
+    assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [
+        tuple,
+        LookupError,
+        LookupError,
+    ]
     (note,) = pool.notes
     assert "a worker raised LookupError: my-env-v0 is not registered" in note
     assert note.endswith("so this process executed 2 of the runs")
@@ -194,7 +222,9 @@ def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(dask_cluster, "WorkerPool", Unable)
     dask_cluster._kept.cache_clear()
     job = job_of(tmp_path)
-    isolated = runner_for(job, job.crash_record(), isolate=True, cluster=partial(DaskPool, Inline()))
+    isolated = runner_for(
+        job, job.crash_record(), isolate=True, cluster=partial(DaskPool, Inline())
+    )
     assert isolated.once(SCENARIOS[0]) is not None
     with pytest.raises(
         ExecutionError,
@@ -205,13 +235,17 @@ def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
 
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = threading.Lock()
-    with pytest.raises(ExecutionError, match=r"can be sent to other machines, received .* TypeError: .*lock"):
+    with pytest.raises(
+        ExecutionError, match=r"can be sent to other machines, received .* TypeError: .*lock"
+    ):
         packed(job_of(tmp_path, lambda: lambda number: lock))
 
 
 def test_missing_cloudpickle_error_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
-    with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .*'pytest-pafot\[dask\]'"):
+    with pytest.raises(
+        ExecutionError, match=r"expected the package cloudpickle, .*'pytest-pafot\[dask\]'"
+    ):
         packed(job_of(tmp_path))
 
 
@@ -226,11 +260,18 @@ class Submitting:
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("how", [ThreadPoolExecutor, partial(ProcessPoolExecutor, mp_context=SPAWN)])
+@pytest.mark.parametrize(
+    "how", [ThreadPoolExecutor, partial(ProcessPoolExecutor, mp_context=SPAWN)]
+)
 def test_simulator_of_a_worker_is_closed_when_the_worker_ends(tmp_path, how):
     world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
     with how(1) as executor:
-        fetched(DaskPool(Submitting(executor), job_of(tmp_path, lambda: lambda seen: (0.0, 0.0), world)), SCENARIOS[:2])
+        fetched(
+            DaskPool(
+                Submitting(executor), job_of(tmp_path, lambda: lambda seen: (0.0, 0.0), world)
+            ),
+            SCENARIOS[:2],
+        )
         assert [*tmp_path.iterdir()] == []
     dask_cluster._kept.cache_clear()  # as the end of this process would
     for process in multiprocessing.active_children():
@@ -248,9 +289,14 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
         return 0.0, 0.0
 
     world = Highway(duration=1.0, hang_limit=2.0)
-    runs = [Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]) for cells in ((2,), (2, 3), (1, 2, 3))]
+    runs = [
+        Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells])
+        for cells in ((2,), (2, 3), (1, 2, 3))
+    ]
     with ThreadPoolExecutor(1) as executor:
-        first, hangs, dies = fetched(DaskPool(Submitting(executor), job_of(tmp_path, lambda: drive, world)), runs)
+        first, hangs, dies = fetched(
+            DaskPool(Submitting(executor), job_of(tmp_path, lambda: drive, world)), runs
+        )
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.COMPLETED, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
     assert dies.end == "ended with exit code 9"

@@ -17,7 +17,9 @@ from pytest_pafot.world.codec import described, from_dict
 from pytest_pafot.world.engines.simulation import Control, Vehicle
 from tests.helpers.tables import table
 
-pytest.importorskip("metadrive", reason='needs Python 3.11 and pip install "pytest-pafot[metadrive]"')
+pytest.importorskip(
+    "metadrive", reason='needs Python 3.11 and pip install "pytest-pafot[metadrive]"'
+)
 
 from pytest_pafot.simulators.metadrive import Expert, MetaDrive, expert, idm
 
@@ -69,24 +71,36 @@ def test_observation_is_that_of_an_environment_that_drove_to_the_same_place():
     environment.reset(seed=0)
     policy, seen = Expert(), None
     while environment.agent.position[0] < 90.0:  # in the middle of a block
-        seen = environment.step(policy(environment.observations["default_agent"].observe(environment.agent)))[0]
+        seen = environment.step(
+            policy(environment.observations["default_agent"].observe(environment.agent))
+        )[0]
     there = environment.agent
-    simulator.start([vehicle(*map(float, there.position), float(there.speed), float(there.heading_theta))], 0)
+    simulator.start(
+        [vehicle(*map(float, there.position), float(there.speed), float(there.heading_theta))], 0
+    )
     differs = np.abs(simulator.observe() - seen) > 1e-4
     assert set(np.flatnonzero(differs)) <= {5, 6, 7}
 
 
 def test_lidar_sees_the_others_at_the_start_of_a_run_and_after_a_tick():
     simulator = MetaDrive(map="SSSS", lanes=4, observation="lidar")
-    own, ahead, truck = vehicle(100.0, 7.0), vehicle(115.0, 7.0), vehicle(100.0, 3.5, length=12.0, width=2.5)
+    own, ahead, truck = (
+        vehicle(100.0, 7.0),
+        vehicle(115.0, 7.0),
+        vehicle(100.0, 3.5, length=12.0, width=2.5),
+    )
     simulator.start([own, ahead, truck], 0)
     first = simulator.observe()
     simulator.step([control(own, (0.0, -1.0)), control(ahead), control(truck)])
     for seen in (first, simulator.observe()):
         assert seen.shape == (275,)
-        assert seen[19:21] == pytest.approx([0.5, (1 - 3.5 / 50) / 2], abs=1e-3)  # the truck, the nearest
+        assert seen[19:21] == pytest.approx(
+            [0.5, (1 - 3.5 / 50) / 2], abs=1e-3
+        )  # the truck, the nearest
         assert seen[23:25] == pytest.approx([(1 + 15 / 50) / 2, 0.5], abs=1e-3)
-        assert seen[35] == pytest.approx((15 - 2.2575) / 50, abs=1e-2)  # straight ahead, to the rear bumper
+        assert seen[35] == pytest.approx(
+            (15 - 2.2575) / 50, abs=1e-2
+        )  # straight ahead, to the rear bumper
 
 
 def test_sensors_change_the_size_of_the_lidar_observation():
@@ -118,7 +132,9 @@ def test_vehicles_that_overlap_do_not_push_each_other():
 
 
 def test_ego_follows_a_curve_by_its_own_policy():
-    world = pafot.metadrive("SSSCSS", observation="vehicle", start_speed=8.0, start_at=100.0, duration=30.0)
+    world = pafot.metadrive(
+        "SSSCSS", observation="vehicle", start_speed=8.0, start_at=100.0, duration=30.0
+    )
     trace = world.rollout(almost_alone(8.0, ego_lane=0, gene_seconds=30.0), idm)
     assert trace.outcome is Outcome.COMPLETED
     turned = trace.states[-1, 0, 2] - trace.states[0, 0, 2]
@@ -147,7 +163,9 @@ def test_run_of_the_expert_is_the_same_in_another_process():
     LIDAR.rollout(almost_alone(12.0), expert)
     here = LIDAR.rollout(BESIDE, expert)
     root = Path(__file__).parents[2]
-    there = subprocess.run([sys.executable, "-c", AGAIN], cwd=root, check=True, stdout=subprocess.PIPE).stdout
+    there = subprocess.run(
+        [sys.executable, "-c", AGAIN], cwd=root, check=True, stdout=subprocess.PIPE
+    ).stdout
     assert there == here.states.tobytes()
 
 
@@ -168,7 +186,9 @@ def test_search_of_the_expert_finds_a_collision_that_a_careful_driver_avoids(tmp
 
 def test_world_is_made_again_from_its_file():
     sensors = {"lidar": {"num_others": 0}}
-    world = pafot.metadrive("SSS", 3, observation="lidar", sensors=sensors, speed_limit=15.0, ads_hz=5)
+    world = pafot.metadrive(
+        "SSS", 3, observation="lidar", sensors=sensors, speed_limit=15.0, ads_hz=5
+    )
     assert described(from_dict(described(world))) == described(world)
 
 
@@ -191,11 +211,14 @@ def test_environment_of_the_users_own_is_not_closed():
     close_engine()
     own = MetaDriveEnv({"log_level": 50, "map": "S", "traffic_density": 0.0})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metadrive.engine.base_engine.BaseEngine.try_pull_asset", staticmethod(lambda: None))
+        patch.setattr(
+            "metadrive.engine.base_engine.BaseEngine.try_pull_asset", staticmethod(lambda: None)
+        )
         own.reset()
     try:
         with pytest.raises(
-            WorldError, match=r"no other environment in this process, received one that is still open\. Call"
+            WorldError,
+            match=r"no other environment in this process, received one that is still open\. Call",
         ):
             _ = pafot.metadrive("SSS").road
         assert get_engine() is not None

@@ -13,7 +13,14 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.world.engines.episode import Episode
 from tests.helpers.sessions import command_in_a_copy
 
-SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
+SHORT = [
+    "--world",
+    "highway-fast-v0",
+    "--config",
+    '{"vehicles_count": 8, "duration": 12}',
+    "--workers",
+    "1",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +34,11 @@ def rate(*arguments):
 
 
 def episode(seed, outcome="safe"):
-    error = AdsError(kind="KeyError", message="'gap'", traceback="", tick=0) if outcome == "ads_error" else None
+    error = (
+        AdsError(kind="KeyError", message="'gap'", traceback="", tick=0)
+        if outcome == "ads_error"
+        else None
+    )
     return Episode(seed, outcome == "collision", error)
 
 
@@ -43,21 +54,32 @@ def crashing(monkeypatch):
     def replace(crashes, first="safe"):
         def driven(world, factory, seed, *, is_planner):
             name = next(name for name, made in known.items() if made is factory)
-            return episode(seed, "collision" if seed < crashes.get(name, 0) else first if seed == 0 else "safe")
+            return episode(
+                seed, "collision" if seed < crashes.get(name, 0) else first if seed == 0 else "safe"
+            )
 
         known = {}
-        monkeypatch.setattr(rate_command, "ads_factory", lambda name: known.setdefault(name, lambda: name))
+        monkeypatch.setattr(
+            rate_command, "ads_factory", lambda name: known.setdefault(name, lambda: name)
+        )
         monkeypatch.setattr(rate_command, "drive_episode", driven)
 
     return replace
 
 
 def test_rate_prints_share_interval_crashes_and_seeds(capsys):
-    assert rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10") == 0
+    assert (
+        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10") == 0
+    )
     out, told = capsys.readouterr()
-    found = re.search(r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %", out)
+    found = re.search(
+        r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %",
+        out,
+    )
     assert int(found[1]) > 1
-    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 31 %)\n" in out
+    assert (
+        "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 31 %)\n" in out
+    )
     assert "0 only with idm_mobil, 0 with both" in out
     assert "rate: 20 of 20 episodes\n" in told
 
@@ -84,10 +106,16 @@ def test_failing_policy_is_counted_and_named(capsys):
     out, told = capsys.readouterr()
     assert "to complete most of 2 episodes, but it completed 0. Reason in 2 episodes: BadA" in told
     assert "none of 2 episodes was completed" in out
-    assert "not counted: 2 episodes that did not start or ended with an error. Seeds: 0, 1. First reason: BadAct" in out
+    assert (
+        "not counted: 2 episodes that did not start or ended with an error. Seeds: 0, 1. First reason: BadAct"
+        in out
+    )
     assert "write @planner after the name" in out.replace("\n ", "")
     assert rate("--ads", "idm_mobil", "--episodes", "2", "--config", '{"duration": 0}') == 1
-    assert "Reason in 2 episodes: HighwayEnvFast._is_truncated ended it in step 1. Correct" in capsys.readouterr().err
+    assert (
+        "Reason in 2 episodes: HighwayEnvFast._is_truncated ended it in step 1. Correct"
+        in capsys.readouterr().err
+    )
 
 
 def fails():
@@ -100,7 +128,10 @@ def fails():
 def test_policy_that_raises_in_the_first_five_episodes_ends_the_command(capsys):
     assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
     told = capsys.readouterr().err
-    assert "in each of the first 5 episodes, starting with seed 0: RuntimeError: no weights\n  File " in told
+    assert (
+        "in each of the first 5 episodes, starting with seed 0: RuntimeError: no weights\n  File "
+        in told
+    )
     assert ("test_rate_command.py" in told, " of 200 episodes\n" in told) == (True, False)
 
 
@@ -120,12 +151,28 @@ def planned():
 
 
 def rated_in(world, *arguments):
-    return main(["rate", "--ads", "idm_mobil", "--workers", "1", "--episodes", "2", "--world", world, *arguments])
+    return main(
+        [
+            "rate",
+            "--ads",
+            "idm_mobil",
+            "--workers",
+            "1",
+            "--episodes",
+            "2",
+            "--world",
+            world,
+            *arguments,
+        ]
+    )
 
 
 def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
     assert rated_in(f"{__name__}:wrapped:3") == 0
-    assert "idm_mobil in tests.optional.test_rate_command:wrapped:3: 0 of 2 episodes" in capsys.readouterr().out
+    assert (
+        "idm_mobil in tests.optional.test_rate_command:wrapped:3: 0 of 2 episodes"
+        in capsys.readouterr().out
+    )
     assert rated_in(f"{__name__}:planned", "--against", "constant_speed") == 0
     assert "constant_speed in test" in capsys.readouterr().out
 
@@ -146,7 +193,14 @@ def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
 
 def test_several_policies_are_compared_with_the_first(capsys, monkeypatch, crashing):
     crashing({"constant_speed": 9, "constant_speed@planner": 2})
-    names = ("--ads", "idm_mobil", "--against", "constant_speed@planner", "--against", "constant_speed")
+    names = (
+        "--ads",
+        "idm_mobil",
+        "--against",
+        "constant_speed@planner",
+        "--against",
+        "constant_speed",
+    )
     assert rate(*names, "--episodes", "10") == 0
     lines = capsys.readouterr().out.splitlines()
     told = [line for line in lines if line.startswith("on the same")]
@@ -157,7 +211,9 @@ def test_several_policies_are_compared_with_the_first(capsys, monkeypatch, crash
     assert rate(*names, "--episodes", "10") == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 60
     assert rate(*names, "--against", "constant_speed") == 2
-    assert "expected each policy only once, received 'constant_speed' again" in capsys.readouterr().err
+    assert (
+        "expected each policy only once, received 'constant_speed' again" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("at", [3, 7, 12])
@@ -174,25 +230,36 @@ def test_ctrl_c_reports_the_completed_episodes(capsys, monkeypatch, at):
     out, told = capsys.readouterr()
     assert told.endswith("rate: interrupted\n")
     # The two policies take turns, with five episodes each.
-    first, both = "idm_mobil in highway-fast-v0: 1 of 5 episodes crashed", "0 only with constant_speed, 1 with both"
+    first, both = (
+        "idm_mobil in highway-fast-v0: 1 of 5 episodes crashed",
+        "0 only with constant_speed, 1 with both",
+    )
     assert (first in out, f"{both} and 4 with neither" in out) == (at > 5, at > 10)
     assert ("constant_speed in highway-fast-v0: none of 0 episodes" in out) == (at == 7)
 
 
 @pytest.mark.parametrize(
-    ("crashes", "limit", "code"), [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)]
+    ("crashes", "limit", "code"),
+    [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
 )
 def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
-    crashing({"idm_mobil": crashes})  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    crashing(
+        {"idm_mobil": crashes}
+    )  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
-    assert ("received a confidence interval that starts at" in capsys.readouterr().err) == bool(code)
+    assert ("received a confidence interval that starts at" in capsys.readouterr().err) == bool(
+        code
+    )
 
 
 def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing):
     crashing({}, first="ads_error")
     assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
-    assert "--fail-above: expected episodes without an error, received 1 with an error\n" in capsys.readouterr().err
+    assert (
+        "--fail-above: expected episodes without an error, received 1 with an error\n"
+        in capsys.readouterr().err
+    )
 
 
 def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
@@ -239,7 +306,10 @@ def test_of_many_seeds_the_first_ten_are_told():
 def test_comparison_uses_seeds_that_crash_only_one_policy():
     first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
     (told,) = compare_rates(first, [rated("b", s2="collision", s9="collision")])
-    assert "2 episodes crashed only with a, 0 only with b, 1 with both and 6 with neither: p = 0.5 (McN" in told
+    assert (
+        "2 episodes crashed only with a, 0 only with b, 1 with both and 6 with neither: p = 0.5 (McN"
+        in told
+    )
 
 
 ENDS = """\
@@ -265,4 +335,6 @@ def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["rate", "--world", "highway-fast-v0", "--episodes", "2"]
     told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%")
-    assert (told.code, "expected the process with the policy to finish" in told.err) == (2, True), told
+    assert (told.code, "expected the process with the policy to finish" in told.err) == (2, True), (
+        told
+    )

@@ -27,7 +27,11 @@ LONG = {
 
 # The commands have the parent in common, which the search is tested with in every way. What is their own is where they
 # call the policy, and whether they let an exception of it through.
-EACH = [*((place, "sys.exit(0)") for place in ENDINGS), ("IN_DECISION", "os._exit(0)"), ("ON_IMPORT", "os._exit(0)")]
+EACH = [
+    *((place, "sys.exit(0)") for place in ENDINGS),
+    ("IN_DECISION", "os._exit(0)"),
+    ("ON_IMPORT", "os._exit(0)"),
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -36,21 +40,30 @@ def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, 
     check_ending(tmp_path, COMMANDS[command], place, how)
 
 
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by their variables")
+@pytest.mark.skipif(
+    not Path("/proc/self/environ").exists(), reason="processes are found by their variables"
+)
 @pytest.mark.parametrize(("command", "name"), [("compare", "SIGINT"), ("rate", "SIGTERM")])
 def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):
     check_that_all_ends(tmp_path, tmp_path_factory.mktemp("places"), LONG[command].split(), name)
 
 
 def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
-    assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {"rate": 1, "compare": 0}
+    assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {
+        "rate": 1,
+        "compare": 0,
+    }
 
 
 def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
     def code(*arguments):
         return command_in_a_copy("pytest_pafot", *arguments, folder=tmp_path).code
 
-    assert [code("compare", "--help"), code("rate", "--hel"), code("rate", "--nothing")] == [0, 0, 2]
+    assert [code("compare", "--help"), code("rate", "--hel"), code("rate", "--nothing")] == [
+        0,
+        0,
+        2,
+    ]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -62,7 +75,12 @@ def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_pol
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
-    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["rate"].replace("episodes 8", "episodes 800").split()]
+    line = [
+        sys.executable,
+        "-m",
+        "pytest_pafot",
+        *COMMANDS["rate"].replace("episodes 8", "episodes 800").split(),
+    ]
     (tmp_path / "planner.py").write_text(
         "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
         "    return lambda seen: (0.0, 0.0)\n"
@@ -75,6 +93,8 @@ def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
     _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
     assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
     assert "rate: interrupted" in told
-    if number != signal.SIGKILL:  # then nobody may have waited for it yet, though its output is closed
+    if (
+        number != signal.SIGKILL
+    ):  # then nobody may have waited for it yet, though its output is closed
         with pytest.raises(ProcessLookupError):
             os.kill(int(begun[0].name.removeprefix("pid-")), 0)

@@ -104,10 +104,15 @@ def test_lanes_of_a_route_are_lines_from_the_left(net):
 def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
     at_left = JOINED.replace('fromLane="0" toLane="1"', 'fromLane="0" toLane="0"')
     at_left = at_left.replace('fromLane="1" toLane="2"', 'fromLane="1" toLane="1"')
-    for index, y in ((0, 0), (1, 4), (2, 8)):  # so all lanes of the edge are one lane further to the left
+    for index, y in (
+        (0, 0),
+        (1, 4),
+        (2, 8),
+    ):  # so all lanes of the edge are one lane further to the left
         old = y - 4
         at_left = at_left.replace(
-            lane_text("three", index, [(505, old), (2000, old)]), lane_text("three", index, [(505, y), (2000, y)])
+            lane_text("three", index, [(505, old), (2000, old)]),
+            lane_text("three", index, [(505, y), (2000, y)]),
         )
     way = Way(str(net(at_left)), ["two", "three"])
     assert way.left == 1
@@ -126,7 +131,9 @@ def test_a_route_that_a_net_does_not_have_is_refused_by_its_edge(net, route, mes
 
 
 def test_a_first_lane_that_the_route_does_not_have_is_refused(net):
-    with pytest.raises(WorldError, match=re.escape("start_lane: expected lane 0 or 1 of the edge 'two'")):
+    with pytest.raises(
+        WorldError, match=re.escape("start_lane: expected lane 0 or 1 of the edge 'two'")
+    ):
         _ = pafot.sumo(net(JOINED), route=["two", "three"], start_lane=2).road
 
 
@@ -153,7 +160,9 @@ def test_npcs_follow_a_bend_of_a_users_net(net):
     world = pafot.sumo(net(BENT), start_speed=15.0, duration=30.0)
     told = PositionInstruction(Cell.FRONT, 15.0)
     scenario = Scenario(npcs=((told,),), ego_lane=0, ego_speed=world.start[1], gene_seconds=30.0)
-    trace = world.rollout(scenario, lambda: lambda seen: pafot.LaneCommand(lane=0, acceleration=0.0))
+    trace = world.rollout(
+        scenario, lambda: lambda seen: pafot.LaneCommand(lane=0, acceleration=0.0)
+    )
     assert trace.outcome is Outcome.COMPLETED, trace.error
     x, y = trace.states[:, 1, :2].T
     in_bend = (x > 420) & (y > -180)  # y grows to the right in a run
@@ -190,7 +199,9 @@ class BrakesLate:
     def __call__(self, seen):
         ego = seen.ego
         gaps = [each.x - ego.x for each in seen.others if each.lane == ego.lane and each.x > ego.x]
-        return pafot.LaneCommand(lane=ego.lane, acceleration=-3.0 if min(gaps, default=99.0) < 12.0 else 0.0)
+        return pafot.LaneCommand(
+            lane=ego.lane, acceleration=-3.0 if min(gaps, default=99.0) < 12.0 else 0.0
+        )
 
 
 class ChangesBlindly:
@@ -218,15 +229,27 @@ def box(x, y, degrees, length, width):
 def touch(one, two):
     """Return whether two boxes overlap: along no side of either, their corners are apart."""
     axes = [side for each in (one, two) for side in (each[1] - each[0], each[2] - each[1])]
-    return all((one @ axis).max() >= (two @ axis).min() and (two @ axis).max() >= (one @ axis).min() for axis in axes)
+    return all(
+        (one @ axis).max() >= (two @ axis).min() and (two @ axis).max() >= (one @ axis).min()
+        for axis in axes
+    )
 
 
 def in_sumo(net, edges, npc):
     """Replay the last run in SUMO, and return the ticks at which the boxes that it states overlap, and it says so."""
     libsumo = pytest.importorskip("libsumo")
-    quiet = ["--no-step-log", "--no-warnings", "--collision.action", "warn", "--collision.mingap-factor", "0"]
+    quiet = [
+        "--no-step-log",
+        "--no-warnings",
+        "--collision.action",
+        "warn",
+        "--collision.mingap-factor",
+        "0",
+    ]
     # Without the resolution, SUMO takes vehicles next to each other in a lane for a collision.
-    libsumo.start(["sumo", "-n", str(net), "--step-length", "0.05", "--lateral-resolution", "0.25", *quiet])
+    libsumo.start(
+        ["sumo", "-n", str(net), "--step-length", "0.05", "--lateral-resolution", "0.25", *quiet]
+    )
     overlaps, reports = [], []
     try:
         libsumo.route.add("route", edges)
@@ -253,7 +276,10 @@ def in_sumo(net, edges, npc):
             )  # fmt: skip
             if touch(ego, other):
                 overlaps.append(tick)
-            if any({each.collider, each.victim} == {*pair} for each in libsumo.simulation.getCollisions()):
+            if any(
+                {each.collider, each.victim} == {*pair}
+                for each in libsumo.simulation.getCollisions()
+            ):
                 reports.append(tick)
     finally:
         libsumo.close()
@@ -263,15 +289,22 @@ def in_sumo(net, edges, npc):
 @pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.oracle)])
 def test_findings_hold_when_sumo_moves_the_vehicles(tmp_path, count):
     """SUMO's own check takes boxes along the lane, so it may be early or silent where only corners touch."""
-    nets = {"bent": (BENT, {"start_speed": 15.0}, ["road"]), "joined": (JOINED, {}, ["two", "three"])}
+    nets = {
+        "bent": (BENT, {"start_speed": 15.0}, ["road"]),
+        "joined": (JOINED, {}, ["two", "three"]),
+    }
     tried, seen = 0, 0
     for seed, (name, (text, arguments, edges)), ads in itertools.product(
         range(1, 20), nets.items(), (BrakesLate, ChangesBlindly, Steady)
     ):
         path = tmp_path / f"{name}.net.xml"
         path.write_text(text, encoding="utf-8")
-        world = SimulatorWorld(functools.partial(Logged, net=str(path), route=edges, **arguments), duration=20.0)
-        for finding in pafot.explore(ads, holds=never_collides, world=world, runs=25, seed=seed).findings:
+        world = SimulatorWorld(
+            functools.partial(Logged, net=str(path), route=edges, **arguments), duration=20.0
+        )
+        for finding in pafot.explore(
+            ads, holds=never_collides, world=world, runs=25, seed=seed
+        ).findings:
             collision = world.rollout(finding.scenario, ads).collision
             overlaps, reports = in_sumo(path, edges, collision.npc)
             assert overlaps == [collision.tick], finding.id

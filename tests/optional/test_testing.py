@@ -85,7 +85,10 @@ class Lagging(Toy):
         asked = np.array([(each.acceleration, each.steering) for each in controls])
         self.now += (asked - self.now) / (0.3 * self.hz)
         super().step(
-            [each._replace(acceleration=a, steering=s) for each, (a, s) in zip(controls, self.now, strict=True)]
+            [
+                each._replace(acceleration=a, steering=s)
+                for each, (a, s) in zip(controls, self.now, strict=True)
+            ]
         )
 
 
@@ -172,11 +175,15 @@ class WithDriver(Toy):
 
     def step(self, controls):
         x, y = self.way(0.0)
-        places = [(each[0] * x + each[1] * y, each[0] * y + each[1] * x, each[3]) for each in self.cars]
+        places = [
+            (each[0] * x + each[1] * y, each[0] * y + each[1] * x, each[3]) for each in self.cars
+        ]
         brakes = {
             number
             for number, (at, across, speed) in enumerate(places)
-            if any(0 < to - at - 5 < 1.2 * (speed - v) and abs(y - across) < 2 for to, y, v in places)
+            if any(
+                0 < to - at - 5 < 1.2 * (speed - v) and abs(y - across) < 2 for to, y, v in places
+            )
         }
         super().step([
             each._replace(acceleration=-9.0) if number in brakes and number in self.drivers else each
@@ -217,7 +224,11 @@ def jumping(self, controls):
         car[0] += 3.0 * (self.ticks % 10 == 0)
 
 
-OBEYS, TURNS, MOVES = "control.acceleration of a vehicle", "control.steering of a vehicle", "direction of its heading"
+OBEYS, TURNS, MOVES = (
+    "control.acceleration of a vehicle",
+    "control.steering of a vehicle",
+    "direction of its heading",
+)
 KEEPS, SAME = "keeps its speed and heading", "the same start with the same seed gives the same run"
 
 
@@ -277,7 +288,9 @@ KEEPS, SAME = "keeps its speed and heading", "the same start with the same seed 
     (Toy, {"step": lambda self, controls: (Toy.step(self, controls), controls.pop())}, "does not change", "Control("),
     (Toy, {"close": lambda self: 1 / 0}, "close() returns in time and without an exception", "ZeroDivisionError"),
 ])  # fmt: skip
-def test_wrong_simulator_is_refused_with_what_was_expected_and_the_cause(base, members, expected, cause):
+def test_wrong_simulator_is_refused_with_what_was_expected_and_the_cause(
+    base, members, expected, cause
+):
     error, _ = checked(made(base, **members))
     assert error.startswith("expected that ")
     assert expected in error.partition(", received ")[0]
@@ -378,12 +391,19 @@ class Backwards(Toy):
 
 def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
     npcs = ((PositionInstruction(2, 0.0),),)
-    assert made(Backwards).rollout(Scenario(npcs=npcs, ego_speed=5.0), lambda: lambda seen: (-2.0, 0.0)).ticks == 150
+    assert (
+        made(Backwards)
+        .rollout(Scenario(npcs=npcs, ego_speed=5.0), lambda: lambda seen: (-2.0, 0.0))
+        .ticks
+        == 150
+    )
 
 
 def test_policy_that_fails_in_the_check_is_named_as_such():
     error, _ = checked(made(), ads=lambda: lambda seen: None)
-    assert error.startswith("expected that random runs are valid, and the policy of the check drives in this world")
+    assert error.startswith(
+        "expected that random runs are valid, and the policy of the check drives in this world"
+    )
     assert error.endswith("Give a different ads=")
 
 
@@ -417,7 +437,8 @@ class Leaking:
 def test_in_other_worlds_of_the_package_only_the_repetition_of_runs_is_checked():
     check_world(Highway(duration=4.0), runs=2)
     with pytest.raises(
-        AssertionError, match=r"expected that the same scenario gives the same run.*, received .* differs by"
+        AssertionError,
+        match=r"expected that the same scenario gives the same run.*, received .* differs by",
     ):
         check_world(Highway(duration=4.0), runs=2, ads=Leaking)
 

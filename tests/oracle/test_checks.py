@@ -30,7 +30,10 @@ def test_broken_bound_message_has_value_unit_and_time():
 
 
 def test_lower_bound_message_names_the_npc():
-    assert str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1)) == "jerk = 0.3 < 0.5 s at 4.2 s (NPC 1)"
+    assert (
+        str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1))
+        == "jerk = 0.3 < 0.5 s at 4.2 s (NPC 1)"
+    )
     assert str(made(0.7, at_least=0.5, unit="s")) == "jerk = 0.7 >= 0.5 s"
     assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk = 12.0 > 10"
 
@@ -72,7 +75,9 @@ def test_check_holds_exactly_if_worst_value_does(values, bound, side):
     worst = max(values) if side == "at_most" else min(values)
     assert check.holds == (worst <= bound if side == "at_most" else worst >= bound)
     assert check.value == worst
-    assert math.isclose(abs(check.margin) * (abs(bound) or 1.0), abs(worst - bound), rel_tol=1e-9, abs_tol=1e-9)
+    assert math.isclose(
+        abs(check.margin) * (abs(bound) or 1.0), abs(worst - bound), rel_tol=1e-9, abs_tol=1e-9
+    )
 
 
 def test_nan_fails():
@@ -105,7 +110,11 @@ def test_a_failure_travels_between_processes():
         (10**400, {"at_most": 1.0}, "expected a number or an array of numbers"),
         (1.0, {"at_most": 2.0, "npc": 1.0}, "expected npc= to be the index of an NPC"),
         (1.0, {"at_most": 2.0, "npc": -2}, "expected npc= to be the index of an NPC"),
-        (1.0, {"at_most": 2.0, "at": -1.0}, "expected at= to be at least 0 seconds after the start of the run"),
+        (
+            1.0,
+            {"at_most": 2.0, "at": -1.0},
+            "expected at= to be at least 0 seconds after the start of the run",
+        ),
         (1.0, {"at_most": 2.0, "unit": "m\n"}, "expected a short printable unit"),
     ],
 )
@@ -125,7 +134,10 @@ def test_npc_index_may_come_from_an_array():
     leader = np.array([1, -1])
     assert type(made(1.0, at_most=2.0, npc=leader[0]).npc) is int
     assert made(1.0, at_most=2.0, npc=leader[1]).npc is None
-    with recorded(Recording(hz=2, ticks=4, npcs=1)), pytest.raises(ValueError, match=r"\(at most 0\), received 1"):
+    with (
+        recorded(Recording(hz=2, ticks=4, npcs=1)),
+        pytest.raises(ValueError, match=r"\(at most 0\), received 1"),
+    ):
         pafot.check(1.0, name="gap", at_most=2.0, npc=1)
 
 

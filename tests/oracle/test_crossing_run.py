@@ -25,13 +25,20 @@ def lines_of(*npcs, **more):
 
 def test_headline_names_origin_of_npc():
     run = crash()
-    assert run.impact == "The ego hit NPC 0, which came from the left, after 4.8 s, closing at 0.0 m/s"
-    assert " ".join(run.explain().split()).startswith(f"{run.impact} (ego 10.0 m/s, NPC 10.0 m/s) The ego entered ")
+    assert (
+        run.impact == "The ego hit NPC 0, which came from the left, after 4.8 s, closing at 0.0 m/s"
+    )
+    assert " ".join(run.explain().split()).startswith(
+        f"{run.impact} (ego 10.0 m/s, NPC 10.0 m/s) The ego entered "
+    )
     assert run.event_cell is None
     assert run.place_of(run.collision) == "from the left in the zone o3>o1"
 
 
-@table(("start", "where"), [(-10.0, "from the left before"), (10.0, "from the left in"), (25.0, "from the left past")])
+@table(
+    ("start", "where"),
+    [(-10.0, "from the left before"), (10.0, "from the left in"), (25.0, "from the left past")],
+)
 def test_place_is_before_in_or_past_the_zone(start, where):
     run = Run(junction_trace((CROSSES, start), seconds=5.0))
     assert run.place_of(replace(run.closest_approach, tick=75)) == f"{where} the zone o3>o1"
@@ -134,7 +141,10 @@ def test_data_frame_has_signals_of_crossing_npcs():
 
 def test_run_that_left_route_is_described_with_crossing():
     trace = replace(junction_trace((CROSSES, 0.0)), outcome=Outcome.LEFT_ROUTE)
-    assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, after which the ego left its route"
+    assert (
+        Run(trace).explain().splitlines()[0]
+        == "no collision in 8.0 s, after which the ego left its route"
+    )
 
 
 def test_collision_with_npc_merged_long_ago_has_cell():

@@ -73,7 +73,9 @@ def test_npc_in_ego_cell_has_its_previous_cell():
 
 
 def test_run_without_approach_has_no_worst_moment():
-    run = Run(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9)))
+    run = Run(
+        trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9))
+    )
     assert run.worst_ttc is None
     assert run.event_cell is None
     assert run.event_time == run.closest_time
@@ -117,7 +119,9 @@ def test_an_ego_that_drives_backwards_is_told(speed, is_told, outcome):
 
 
 def test_an_explanation_names_the_error_of_the_ads():
-    error = AdsError(kind="ZeroDivisionError", message="division by zero\nnaïve", traceback="", tick=15)
+    error = AdsError(
+        kind="ZeroDivisionError", message="division by zero\nnaïve", traceback="", tick=15
+    )
     headline = Run(closing(outcome=Outcome.ADS_ERROR, error=error)).explain().splitlines()[0]
     assert headline == "ADS error after 1.0 s: ZeroDivisionError: division by zero na\\xefve"
 
@@ -128,17 +132,32 @@ def test_explanation_of_a_safe_run_names_worst_moment():
     assert lines[1] == "  smallest time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
 
 
-@pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.COMPLETED, Outcome.COLLISION, Outcome.ADS_ERROR))
+@pytest.mark.parametrize(
+    "outcome", mostly_oracle(Outcome, Outcome.COMPLETED, Outcome.COLLISION, Outcome.ADS_ERROR)
+)
 @given(
-    npcs=st.integers(1, 8), genes=st.integers(1, 30), message=st.text(CHARACTERS, max_size=200), seed=st.integers(0, 99)
+    npcs=st.integers(1, 8),
+    genes=st.integers(1, 30),
+    message=st.text(CHARACTERS, max_size=200),
+    seed=st.integers(0, 99),
 )
 def test_every_explanation_is_short_plain_ascii(outcome, npcs, genes, message, seed):
     rng = np.random.default_rng(seed)
     states = random_states(rng, 31, npcs + 1)
-    error = AdsError(kind="E", message=message, traceback="", tick=3) if outcome in ("ads_error", "hang") else None
+    error = (
+        AdsError(kind="E", message=message, traceback="", tick=3)
+        if outcome in ("ads_error", "hang")
+        else None
+    )
     scenario = scenario_of(npcs, genes=genes, gene_seconds=0.1)
-    collision = collision_at(30, npc=npcs - 1, cell=Cell.REAR_RIGHT, ego_speed=0.0) if outcome == "collision" else None
-    trace = trace_of(*states.swapaxes(0, 1), scenario=scenario, outcome=outcome, error=error, collision=collision)
+    collision = (
+        collision_at(30, npc=npcs - 1, cell=Cell.REAR_RIGHT, ego_speed=0.0)
+        if outcome == "collision"
+        else None
+    )
+    trace = trace_of(
+        *states.swapaxes(0, 1), scenario=scenario, outcome=outcome, error=error, collision=collision
+    )
     trace = replace(trace, off_road_tick=4 if outcome == "off_road" else None)
     lines = Run(trace).explain().split("\n")
     assert len(lines) < 20
@@ -149,7 +168,9 @@ def test_explanation_of_many_genes_lists_the_last_ones():
     trace = trace_of(
         vehicle(0.0, 4.0, speed=20.0, ticks=150),
         vehicle(50.0, 4.0, speed=20.0, ticks=150),
-        scenario=Scenario(npcs=[[PositionInstruction(1, float(gene)) for gene in range(20)]], gene_seconds=1.0),
+        scenario=Scenario(
+            npcs=[[PositionInstruction(1, float(gene)) for gene in range(20)]], gene_seconds=1.0
+        ),
     )
     lines = Run(trace).explain().splitlines()
     assert "(5 earlier)" in lines[2]
@@ -164,10 +185,16 @@ def test_equal_instructions_in_a_row_are_one_row_and_one_instruction():
     ]
     for npcs, expected in ((chains[:1], ["0.0 to 18.0"]), (chains, ["0.0 to 8.0", "8.0 to 18.0"])):
         scenario = Scenario(npcs=npcs, gene_seconds=2.0)
-        vehicles = [vehicle(50.0 * number, 4.0, speed=20.0, ticks=270) for number in range(len(npcs) + 1)]
-        trace = trace_of(*vehicles, scenario=scenario, arrivals=((None, None, 75, *[80] * 6),) * len(npcs))
+        vehicles = [
+            vehicle(50.0 * number, 4.0, speed=20.0, ticks=270) for number in range(len(npcs) + 1)
+        ]
+        trace = trace_of(
+            *vehicles, scenario=scenario, arrivals=((None, None, 75, *[80] * 6),) * len(npcs)
+        )
         lines = Run(trace).explain().splitlines()
-        table = lines[next(n for n, line in enumerate(lines) if line.startswith("  from [s]")) + 1 : -1]
+        table = lines[
+            next(n for n, line in enumerate(lines) if line.startswith("  from [s]")) + 1 : -1
+        ]
         assert [re.split(r"  +", line.strip())[0] for line in table] == expected
         assert "1 front-left 20.0 m/s reached at 5.0 s" in table[0] or len(npcs) == 2
     assert instructions(Scenario(npcs=chains[:1], gene_seconds=2.0)) == 1

@@ -95,7 +95,9 @@ class Project:
 
         Comments such as ``# stop_after=1`` are options of the project's sessions.
         """
-        self.options[name] = [f"--pafot-stop-after={count}" for count in re.findall(r"# stop_after=(\d+)", source)]
+        self.options[name] = [
+            f"--pafot-stop-after={count}" for count in re.findall(r"# stop_after=(\d+)", source)
+        ]
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
@@ -108,7 +110,12 @@ class Project:
         """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
         named = "".join(map(str, args)).replace("-", "")
-        names = [*(f"no:{name}" for name in NOT_NAMED if name not in named), "pafot", *parallel, *plugins]
+        names = [
+            *(f"no:{name}" for name in NOT_NAMED if name not in named),
+            "pafot",
+            *parallel,
+            *plugins,
+        ]
         options = [part for name in names for part in ("-p", name)]
         if runs is not None:
             options.append(f"--pafot-runs={runs}")
@@ -129,12 +136,23 @@ class Project:
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS}
         whole = bench._difference_in_gym is DIFFERENCE_IN_GYM
-        key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
+        key = repr(
+            (
+                before,
+                settings,
+                whole,
+                [str(arg).replace(str(self.path), "") for arg in args],
+                options,
+            )
+        )
         if key not in self.found:
             result = self.run(*args, **options)
-            changed = {name: text for name, text in self._tree.items() if before.get(name, ...) != text}
+            changed = {
+                name: text for name, text in self._tree.items() if before.get(name, ...) != text
+            }
             streams = [
-                "\n".join(lines).replace(str(self.path), "{project}") for lines in (result.outlines, result.errlines)
+                "\n".join(lines).replace(str(self.path), "{project}")
+                for lines in (result.outlines, result.errlines)
             ]
             self.found[key] = (result.ret, streams, before.keys() - self._tree.keys(), changed)
         status, streams, removed, changed = self.found[key]
@@ -152,11 +170,16 @@ class Project:
     def _tree(self):
         """Return the contents of all files except compiled ones, by name, and no contents for folders."""
         found = (path for path in sorted(self.path.rglob("*")) if "__pycache__" not in path.parts)
-        return {path.relative_to(self.path).as_posix(): None if path.is_dir() else path.read_bytes() for path in found}
+        return {
+            path.relative_to(self.path).as_posix(): None if path.is_dir() else path.read_bytes()
+            for path in found
+        }
 
     def leave_behind(self, owner, world=None):
         """Write the record of a process that died while a test ran a scenario."""
-        flight = CrashRecord(records_of(self.path), owner, world=world or Highway(duration=10.0).to_dict())
+        flight = CrashRecord(
+            records_of(self.path), owner, world=world or Highway(duration=10.0).to_dict()
+        )
         flight.write(Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),) * 2,), gene_seconds=5))
         os.close(flight._descriptor)
 

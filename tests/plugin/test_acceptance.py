@@ -66,7 +66,9 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     (r"responsibility: \w+", "responsibility: both", None),
     (r"\btime: [\d.]+, npc", "time: 1.0, npc", None),
 ])  # fmt: skip
-def test_only_the_same_collision_and_assertion_are_accepted_at_any_time_with_any_blame(accepted, old, new, received):
+def test_only_the_same_collision_and_assertion_are_accepted_at_any_time_with_any_blame(
+    accepted, old, new, received
+):
     edited(accepted, old, new)
     result, finding = replayed(accepted)
     assert (result.ret, finding["result"]) == ((1, "failed") if received else (0, "xfailed"))
@@ -83,7 +85,9 @@ def test_other_versions_may_move_the_collision_but_not_change_what_fails(accepte
 
 
 @pytest.mark.parametrize("known", [", worst_closing_speed: 999.0", ""])
-def test_a_search_that_hits_faster_than_all_that_was_known_is_red_until_that_is_accepted_too(accepted, known):
+def test_a_search_that_hits_faster_than_all_that_was_known_is_red_until_that_is_accepted_too(
+    accepted, known
+):
     edited(accepted, r", worst_closing_speed: [\d.]+", known)
     first = accepted.files
     result = accepted.run(runs=16)
@@ -91,13 +95,20 @@ def test_a_search_that_hits_faster_than_all_that_was_known_is_red_until_that_is_
     assert (result.ret, len(new)) == ((0, 0) if known else (1, 1))
     if new:
         worse = pafot.load(accepted.path / new[0]).finding
-        assert worse.expect.closing_speed > pafot.load(accepted.path / first[0]).expect.closing_speed + 1.0
+        assert (
+            worse.expect.closing_speed
+            > pafot.load(accepted.path / first[0]).expect.closing_speed + 1.0
+        )
         assert worse.worst_known >= worse.expect.closing_speed
         result.stdout.fnmatch_lines(
-            [f"  note: {worse.id} is worse than saved-*, which was accepted for impacts at up to * m/s"]
+            [
+                f"  note: {worse.id} is worse than saved-*, which was accepted for impacts at up to * m/s"
+            ]
         )
         text = (accepted.path / new[0]).read_text()
-        (accepted.path / new[0]).write_text(text.replace("# xfail", "xfail: {reason: ours, until: 9999-12-31} #"))
+        (accepted.path / new[0]).write_text(
+            text.replace("# xfail", "xfail: {reason: ours, until: 9999-12-31} #")
+        )
         made = re.search(r"1 new failure in (\d+) runs", result.stdout.str())[1]
         assert accepted.run(runs=made).ret == 0
         assert len(accepted.files) == 2

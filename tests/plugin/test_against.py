@@ -10,7 +10,9 @@ from pytest_pafot.searches import saved_scenario
 from tests.helpers.tables import table
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
-SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")  # the lengths differ, so that no stale copy is used
+SPEEDS = KEEPS.replace(
+    "(0.0, 0.0)", "(1.25, 0.0)"
+)  # the lengths differ, so that no stale copy is used
 BREAKS = KEEPS.replace("(0.0, 0.0)", "(-1.0, 0.0)")
 TEST = """
 import planner
@@ -75,7 +77,8 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
     (search,), (finding,) = told["searches"], told["findings"]
     paired, id_ = search["paired"], finding["id"]
     counts = (
-        f"{paired['only_new']} failed only with this policy, and {paired['only_reference']} only with the reference"
+        f"{paired['only_new']} failed only with this policy, and "
+        f"{paired['only_reference']} only with the reference"
     )
     result.stdout.fnmatch_lines(
         [
@@ -128,14 +131,17 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
     project.run(runs=16, seed=2)
     saved = saved_scenario.load(project.only_file)
     speeds = [
-        saved.replay(lambda policy=policy: lambda seen: (policy, 0.0)).collision.closing_speed for policy in (0.0, -1.0)
+        saved.replay(lambda policy=policy: lambda seen: (policy, 0.0)).collision.closing_speed
+        for policy in (0.0, -1.0)
     ]
     assert speeds[0] > speeds[1] + 1.0
     result = project.run(AGAINST, "--pafot-json=pafot.json", runs=0)
     worse = f"hits at {speeds[0]:.1f} m/s instead of {speeds[1]:.1f}"
     result.stdout.fnmatch_lines([f"1 of 1 unchanged failure became worse: {saved.id} {worse}"])
     told = json.loads((project.path / "pafot.json").read_text())["findings"][0]
-    assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(speeds, abs=1e-3)
+    assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(
+        speeds, abs=1e-3
+    )
     assert worse in told["detail"]
     policies(project, brakes, KEEPS)
     project.run(AGAINST, runs=0).stdout.no_fnmatch_line("*became worse*")
@@ -144,10 +150,15 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
 def test_common_failure_hides_no_regression_of_same_kind(changed):
     # The old policy failed in the saved scenario, which it recognises by the number of vehicles, and in no other.
     others = len(load(changed.only_file).scenario.npcs)
-    policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
+    policies(
+        changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})")
+    )
     result = changed.run(AGAINST)
     result.stdout.fnmatch_lines(
-        ["replayed 1 saved scenario: 1 still failing", "*1 failure introduced, 0 fixed, 1 unchanged"]
+        [
+            "replayed 1 saved scenario: 1 still failing",
+            "*1 failure introduced, 0 fixed, 1 unchanged",
+        ]
     )
     assert len(changed.files) == 2
 
@@ -158,7 +169,9 @@ def test_reference_may_come_from_a_named_fixture(project):
         + "\n@pytest.fixture\ndef old_ads():\n    import planner_before\n    return planner_before.make\n"
     )
     policies(project, SPEEDS, KEEPS)
-    project.run().stdout.fnmatch_lines(["compared with old_ads: 1 failure introduced, 0 fixed, 0 unchanged"])
+    project.run().stdout.fnmatch_lines(
+        ["compared with old_ads: 1 failure introduced, 0 fixed, 0 unchanged"]
+    )
 
 
 def test_unrequested_fixture_as_reference_is_refused(failing):
@@ -177,11 +190,18 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
         result.assert_outcomes(failed=1, skipped=1)
         shown = " ".join(result.stdout.str().split())
         assert "against (planner_before:make): the reference failed with TypeError: " in shown
-        assert "in this replay and in 10 random scenarios, so it cannot drive at all. Correct the reference, " in shown
+        assert (
+            "in this replay and in 10 random scenarios, so it cannot drive at all. Correct the reference, "
+            in shown
+        )
     npcs = len(load(changed.only_file).scenario.npcs)
     raises = f"        assert len(observation.others) != {npcs}\n        return -1.0, 0.0"
-    policies(changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n")
-    changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))  # other scenarios have other numbers of NPCs
+    policies(
+        changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n"
+    )
+    changed.write(
+        TEST.replace("MORE", "").replace("SHORT", "genes=2")
+    )  # other scenarios have other numbers of NPCs
     result = changed.run(AGAINST, runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
@@ -189,7 +209,9 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
 
 def test_next_session_names_reference_that_ended_the_last(project):
     project.write(TEST.replace("MORE", ""))
-    policies(project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n")
+    policies(
+        project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n"
+    )
     assert project.run(AGAINST, "-p", "cacheprovider", apart=True).ret == 9
     result = project.run(AGAINST, "-p", "cacheprovider", apart=True)
     result.assert_outcomes(failed=1)
@@ -207,7 +229,9 @@ def test_search_fails_if_its_reference_always_fails(project):
     policies(project, SPEEDS, "def make():\n    return lambda observation: observation.lanes\n")
     result = project.run(AGAINST)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["the search tested too little:", "the reference itself failed in all its runs, *"])
+    result.stdout.fnmatch_lines(
+        ["the search tested too little:", "the reference itself failed in all its runs, *"]
+    )
 
 
 @table(("now", "before", "is_itself"), [
@@ -222,7 +246,12 @@ def test_policy_is_not_compared_with_itself(project, now, before, is_itself):
     policies(project, now, before)
     result = project.run(AGAINST, "-p", "no:cacheprovider", "--pafot-json=pafot.json")
     code = pytest.ExitCode.USAGE_ERROR if is_itself else pytest.ExitCode.OK
-    assert (result.ret, json.loads((project.path / "pafot.json").read_text())["exit"]) == (code, code)
+    assert (result.ret, json.loads((project.path / "pafot.json").read_text())["exit"]) == (
+        code,
+        code,
+    )
     if is_itself:
         result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a different policy*different name*"])
+        result.stdout.fnmatch_lines(
+            ["*against (planner_before:make): expected a different policy*different name*"]
+        )

@@ -50,7 +50,10 @@ def test_every_algorithm_searches_with_every_kind_it_supports(project):
     for number, is_supported in enumerate(supported):
         if not is_supported:
             text = section(result, f"test_{number}")
-            assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
+            assert re.search(
+                r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '",
+                text,
+            )
     assert supported.count(False) == 4, "av-fuzzer and random-manoeuvre have lanes only"
 
 

@@ -37,7 +37,10 @@ def test_each_garbled_file_or_invalid_name_fails_one_item_with_location(saved):
         )
     lines = [line for line in result.outlines if line.endswith(". Rename the file")]
     for name in names:
-        assert any(f"{name}.pafot.yaml: expected a file name that consists of 1 to" in line for line in lines), name
+        assert any(
+            f"{name}.pafot.yaml: expected a file name that consists of 1 to" in line
+            for line in lines
+        ), name
 
 
 def test_garbled_file_does_not_stop_its_search(saved):
@@ -52,7 +55,11 @@ def test_unwritable_corpus_loses_no_finding(failing):
     result = failing.run()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(
-        ["It was not saved: *expected a file for the finding, *", "The file would contain:", "  pafot: 3"]
+        [
+            "It was not saved: *expected a file for the finding, *",
+            "The file would contain:",
+            "  pafot: 3",
+        ]
     )
 
 
@@ -82,7 +89,10 @@ def test_same_seed_gives_same_bytes_in_another_process(project):
         (file,) = place.rglob("*.pafot.yaml")
         texts.append(file.read_bytes())
     assert texts[0] == texts[1]
-    assert b"Planner object at ADDRESS> of <_MainThread(MainThread, started N)>, pid N: no TMP/model.bin in" in texts[0]
+    assert (
+        b"Planner object at ADDRESS> of <_MainThread(MainThread, started N)>, pid N: no TMP/model.bin in"
+        in texts[0]
+    )
 
 
 def test_half_written_leftovers_disappear_in_the_next_session(saved):

@@ -34,4 +34,6 @@ def test_it(run):
     project.leave_behind("test_it.py::test_it")
     result = project.run(runs=0)
     assert project.files == []
-    result.stdout.fnmatch_lines(["*completed when it was repeated. The process was probably killed from outside*"])
+    result.stdout.fnmatch_lines(
+        ["*completed when it was repeated. The process was probably killed from outside*"]
+    )

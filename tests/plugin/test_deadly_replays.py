@@ -75,7 +75,10 @@ def test_repeated_crash_fails_only_its_own_item(crash, more, runs):
     result = replayed(crash, *asked, runs=runs)
     result.assert_outcomes(failed=1, passed=1, deselected=1)
     result.stdout.fnmatch_lines(
-        ["The process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
+        [
+            "The process (pid *) that ran this scenario was ended by SIGSEGV*",
+            "*1 saved scenario: 1 still failing*",
+        ]
     )
     assert 'tests="2"' in (crash.path / "junit.xml").read_text()
     assert not crash.records
@@ -113,13 +116,18 @@ def test_search_runs_isolated_after_a_session_died(project):
     result = project.run("-p", "cacheprovider", apart=True)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines(
-        ["*found *saved-crash-*", "*note: the ADS ran in separate processes, as with --pafot-isolate, *"]
+        [
+            "*found *saved-crash-*",
+            "*note: the ADS ran in separate processes, as with --pafot-isolate, *",
+        ]
     )
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
 def test_a_crash_that_comes_no_more_is_fixed(crash, more):
-    crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "return 0.0, 0.0") + more)
+    crash.pytester.makeconftest(
+        DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "return 0.0, 0.0") + more
+    )
     result = replayed(crash)
     result.assert_outcomes(passed=2, skipped=1)
     result.stdout.fnmatch_lines(["*1 saved scenario: 1 passed*"])
@@ -132,7 +140,10 @@ def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["*XPASS(strict)*planner issue 12*", "It did not fail (passes). Remove the line `xfail:` from *"]
+        [
+            "*XPASS(strict)*planner issue 12*",
+            "It did not fail (passes). Remove the line `xfail:` from *",
+        ]
     )
 
 
@@ -161,7 +172,10 @@ def test_process_may_die_of_the_test_function(crash):
 
 @forks
 def test_crash_against_a_reference_is_introduced_or_common(crash):
-    drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
+    drives, keeps = (
+        "def make():\n    return drive\n",
+        "def make():\n    return lambda seen: (0.0, 0.0)\n",
+    )
     # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
     for before, runs, told, found in (
@@ -182,15 +196,23 @@ def test_output_of_the_other_process_is_captured_once(crash):
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     assert result.stdout.lines.count("judged") == 1
-    result.stdout.re_match_lines([r"test_it\.py:\d+: assert 7\.0 < 1\.", "The ego hit NPC 0 from behind .*"])
+    result.stdout.re_match_lines(
+        [r"test_it\.py:\d+: assert 7\.0 < 1\.", "The ego hit NPC 0 from behind .*"]
+    )
 
 
 @forks
 def test_hang_replays_in_a_process_that_is_killed(crash, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.4)
     text = crash.only_file.read_text()
-    crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
-    crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))"))
+    crash.only_file.write_text(
+        text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang")
+    )
+    crash.pytester.makeconftest(
+        DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))")
+    )
     result = crash.run(runs=0)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*that ran this scenario did not answer for 0.5 s and was killed*"])
+    result.stdout.fnmatch_lines(
+        ["*that ran this scenario did not answer for 0.5 s and was killed*"]
+    )

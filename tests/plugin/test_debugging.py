@@ -26,7 +26,9 @@ def found(project):
 
     def replay(typed, *options):
         command = [sys.executable, "-m", "pytest", "-p", "pafot", file, "--pafot-debug", *options]
-        ended = subprocess.run(command, cwd=project.path, input=typed, capture_output=True, text=True, check=False)
+        ended = subprocess.run(
+            command, cwd=project.path, input=typed, capture_output=True, text=True, check=False
+        )
         return ended.returncode, ended.stdout
 
     return replay
@@ -46,7 +48,9 @@ def test_one_step_leads_into_the_policy(found, options):
 def test_a_scenario_that_passes_has_no_debugger(found, project):
     project.write(KEEPS.replace("acceleration = 0.0", "acceleration = -6.0"))
     code, output = found("")
-    assert "--pafot-debug did not start a debugger, because the saved scenario" in output.replace("\n  ", " ")
+    assert "--pafot-debug did not start a debugger, because the saved scenario" in output.replace(
+        "\n  ", " "
+    )
     assert code == pytest.ExitCode.OK
 
 

@@ -115,7 +115,9 @@ def test_a_collision_at_another_time_still_fails_and_says_when(saved):
     text = saved.only_file.read_text()
     saved.only_file.write_text(re.sub(r"(outcome: collision, time: )[0-9.]+", r"\g<1>4.6", text))
     result = replay(saved, "fast")
-    result.stdout.fnmatch_lines(["*still failing (collision at 5.6 s instead of collision at 4.6 s)."])
+    result.stdout.fnmatch_lines(
+        ["*still failing (collision at 5.6 s instead of collision at 4.6 s)."]
+    )
 
 
 ACCEPTS_LATER = TEST.replace("not run.collision", "not run.collision or run.collision.time > 6")
@@ -123,15 +125,20 @@ ACCEPTS_LATER = TEST.replace("not run.collision", "not run.collision or run.coll
 
 
 @pytest.mark.parametrize("against", [(), ("--pafot-against=policies:fast",)], ids=["", "reference"])
-@pytest.mark.parametrize(("policy", "label"), [("slow", "drifted"), ("nudging", "passed"), ("braking", "passed")])
-def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(saved, policy, label, against):
+@pytest.mark.parametrize(
+    ("policy", "label"), [("slow", "drifted"), ("nudging", "passed"), ("braking", "passed")]
+)
+def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(
+    saved, policy, label, against
+):
     saved.write(ACCEPTS_LATER.replace("WORLD", WORLD))
     result = replay(saved, policy, *against)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
     assert ("policies:fast fails" in result.stdout.str()) == bool(against)
     told = (
-        "the same NPC still collides with the ego after the end of the saved scenario (The ego hit NPC 0 from behind "
+        "the same NPC still collides with the ego after the end of the saved scenario "
+        "(The ego hit NPC 0 from behind "
     )
     assert (label == "drifted") == (told in " ".join(result.stdout.str().split()))
 
@@ -140,7 +147,9 @@ def test_other_failure_after_the_end_is_only_reported(saved):
     result = replay(saved, "raising")
     result.assert_outcomes(passed=1, skipped=1)
     told = "a different failure occurs after the end of the saved scenario: ads_error at 8.0 s"
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {told}"])
+    result.stdout.fnmatch_lines(
+        ["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {told}"]
+    )
 
 
 DIED = "the process ended with exit code 9 after the end of the saved scenario"
@@ -149,7 +158,9 @@ DIED = "the process ended with exit code 9 after the end of the saved scenario"
 def test_death_after_the_end_is_only_reported(saved):
     result = replay(saved, "dying", "--pafot-isolate")
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {DIED}"])
+    result.stdout.fnmatch_lines(
+        ["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {DIED}"]
+    )
     assert not list(saved.path.rglob("*.running"))
 
 
@@ -158,7 +169,9 @@ def test_death_after_the_end_ends_one_session_at_most(saved):
     for _ in range(3):
         result = replay(saved, "dying")
         result.assert_outcomes(passed=1, skipped=1)
-        result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {DIED}"])
+        result.stdout.fnmatch_lines(
+            ["replayed 1 saved scenario: 1 passed", "  passed*: *", f"    {DIED}"]
+        )
     assert len(saved.records) == 1
     replay(saved, "braking").stdout.no_fnmatch_line("*after the end of the saved scenario*")
     assert not saved.records
@@ -168,19 +181,24 @@ def test_reference_that_dies_after_the_end_does_so_once(saved):
     against = "--pafot-against=policies:dying"
     assert replay(saved, "braking", against, apart=True).ret == 9
     for _ in range(3):
-        replay(saved, "braking", against).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
+        replay(saved, "braking", against).stdout.fnmatch_lines(
+            ["replayed 1 saved scenario: 1 passed"]
+        )
 
 
 @pytest.mark.processes
 def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     assert replay(saved, "dying", apart=True).ret == 9
-    monkeypatch.setattr("pytest_pafot.execution.runner.METHOD", "spawn")  # here, and in sessions of its own
+    monkeypatch.setattr(
+        "pytest_pafot.execution.runner.METHOD", "spawn"
+    )  # here, and in sessions of its own
     before = "import pytest_pafot.execution.runner as pool\npool.METHOD = 'spawn'\n"
     for _ in range(2):
         result = replay(saved, "dying", before=before)
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed", "  passed*: *"])
         told = (
-            "it was not run after the end of the saved scenario, because a process died there before, and this system"
+            "it was not run after the end of the saved scenario, because a process died "
+            "there before, and this system"
         )
         assert told in " ".join(result.stdout.str().split())
 
@@ -191,7 +209,9 @@ def test_death_after_the_end_of_a_crash_still_fails(project):
     filed(project, expect=expectation(died))
     result = replay(project, "dying")
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"Result of the replay: still failing ({DIED}).", "*1 still failing"])
+    result.stdout.fnmatch_lines(
+        [f"Result of the replay: still failing ({DIED}).", "*1 still failing"]
+    )
 
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):
@@ -203,14 +223,18 @@ def test_failure_by_chance_after_the_end_is_flaky(saved):
 
 def test_pass_without_its_situation_is_driven_on_too(saved):
     path = saved.only_file
-    path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))  # it was far faster than the NPC
+    path.write_text(
+        path.read_text().replace("ego_speed: ", "ego_speed: 9")
+    )  # it was far faster than the NPC
     replay(saved, "braking").stdout.fnmatch_lines(["*1 drifted"])
     replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
 
 
 def test_check_that_fails_after_the_end_still_fails(project):
     check = "run.ego.speed, name='speed', at_most=24.0"
-    project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", f"pafot.check({check})"))
+    project.write(
+        TEST.replace("WORLD", WORLD).replace("assert not run.collision", f"pafot.check({check})")
+    )
     broken = Check(name="speed", value=30.0, margin=-0.25, at_most=24.0, time=5.6)
     failure = Failure(kind="CheckFailed", message=str(broken), assertion="speed", check=broken)
     filed(project, failure=failure)
@@ -220,7 +244,11 @@ def test_check_that_fails_after_the_end_still_fails(project):
 
 
 @pytest.mark.parametrize(
-    "broken", ["pafot.check(way, name='way', at_most=100.0)", "assert run.ego.speed.sum() / run.trace.physics_hz < 100"]
+    "broken",
+    [
+        "pafot.check(way, name='way', at_most=100.0)",
+        "assert run.ego.speed.sum() / run.trace.physics_hz < 100",
+    ],
 )
 def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
     body = f"way = float(run.ego.speed.sum() / run.trace.physics_hz)\n    {broken}"
@@ -228,7 +256,9 @@ def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
     measured = Check(name="way", value=167.0, margin=-0.67, at_most=100.0)
     failure = Failure(kind="AssertionError", assertion=broken)
     if "check" in broken:
-        failure = Failure(kind="CheckFailed", message=str(measured), assertion="way", check=measured)
+        failure = Failure(
+            kind="CheckFailed", message=str(measured), assertion="way", check=measured
+        )
     filed(project, failure=failure)
     result = replay(project, "braking")
     result.stdout.fnmatch_lines(["*1 passed"])

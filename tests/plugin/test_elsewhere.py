@@ -37,7 +37,11 @@ def searched(project, *args, runs="30", **options):
     findings = json.loads((project.path / "out.json").read_text())["findings"]
     replayed = [each for each in findings if each["status"] != "new"]
     kinds = [each["signature"] for each in replayed]
-    return result, replayed, [each["id"] for each in findings if each["status"] == "new" and each["signature"] in kinds]
+    return (
+        result,
+        replayed,
+        [each["id"] for each in findings if each["status"] == "new" and each["signature"] in kinds],
+    )
 
 
 def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
@@ -69,7 +73,9 @@ def test_a_search_that_finds_the_failure_says_where(project, monkeypatch, args):
             f"    {new} fails in the same way",
         ]
     )
-    texts = [(project.path / name).read_text(encoding="utf-8") for name in ("page.html", "summary.md")]
+    texts = [
+        (project.path / name).read_text(encoding="utf-8") for name in ("page.html", "summary.md")
+    ]
     page, summary = texts[0].replace("<wbr>", ""), texts[1]
     assert "1 passed (found in another scenario)" in summary
     assert f"{new} fails in the same way" in summary

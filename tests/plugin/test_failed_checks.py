@@ -29,10 +29,14 @@ class Planner:
 def ads():
     return Planner
 """
-BUGGY = PLANNER.replace("WANTED", "-8.0 if gap < 5.0 + 0.1 * ego.speed + more / 12 else 2.0").replace("STEP", "99.0")
+BUGGY = PLANNER.replace(
+    "WANTED", "-8.0 if gap < 5.0 + 0.1 * ego.speed + more / 12 else 2.0"
+).replace("STEP", "99.0")
 """A planner that follows at a tenth of a second, and brakes all at once."""
 
-FIXED = PLANNER.replace("WANTED", "0.5 * (gap - 4.0 - 1.2 * ego.speed - more / 8)").replace("STEP", "2.0")
+FIXED = PLANNER.replace("WANTED", "0.5 * (gap - 4.0 - 1.2 * ego.speed - more / 8)").replace(
+    "STEP", "2.0"
+)
 
 PROPERTY = """
 import numpy as np
@@ -58,9 +62,15 @@ def buggy(project, monkeypatch, shrinking):
 def test_two_checks_make_one_shrunk_finding_each(buggy):
     result = buggy.run_once(runs=48, seed=1)
     result.assert_outcomes(failed=3)
-    assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == ["headway", "jerk"]
+    assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == [
+        "headway",
+        "jerk",
+    ]
     text = result.stdout.str()
-    for sentence in (r"jerk = \d+\.\d > 40 m/s\^3 at \d+\.\d s", r"headway = 0\.\d+ < 0\.5 s at \d+\.\d s"):
+    for sentence in (
+        r"jerk = \d+\.\d > 40 m/s\^3 at \d+\.\d s",
+        r"headway = 0\.\d+ < 0\.5 s at \d+\.\d s",
+    ):
         assert len(re.findall(rf"^The check fails: {sentence}\.$", text, re.MULTILINE)) == 1
     assert text.count("checks.py") == 0
     assert len(re.findall(r"^  .*, \d+ more to analyse failures", text, re.MULTILINE)) == 1

@@ -28,8 +28,16 @@ def explained(project, shrinking):
 def block(result, name):
     """Return the lines of a failure's section, with its title."""
     lines = result.stdout.str().splitlines()
-    start = next(number for number, line in enumerate(lines) if re.fullmatch(rf"_+ {re.escape(name)} _+", line))
-    titles = (number for number, line in enumerate(lines) if number > start and re.fullmatch(r"[_=]+ .* [_=]+", line))
+    start = next(
+        number
+        for number, line in enumerate(lines)
+        if re.fullmatch(rf"_+ {re.escape(name)} _+", line)
+    )
+    titles = (
+        number
+        for number, line in enumerate(lines)
+        if number > start and re.fullmatch(r"[_=]+ .* [_=]+", line)
+    )
     return lines[start : next(titles)]
 
 
@@ -85,19 +93,25 @@ def of_kinds(*kinds):
 
 def blocks(result):
     """Return the block of each failure, with its title."""
-    lines = result.stdout.str().partition(" FAILURES ")[2].partition("= pafot =")[0].splitlines()[1:-1]
+    lines = (
+        result.stdout.str().partition(" FAILURES ")[2].partition("= pafot =")[0].splitlines()[1:-1]
+    )
     begins = [number for number, line in enumerate(lines) if re.fullmatch("_+ .* _+", line)]
     return [lines[begin:end] for begin, end in zip(begins, [*begins[1:], None], strict=True)]
 
 
 def of_search(result, name):
     """Return the lines of the summary on a search."""
-    first, *rest = result.stdout.str().partition("= pafot =")[2].partition(f"\n{name}")[2].splitlines()
+    first, *rest = (
+        result.stdout.str().partition("= pafot =")[2].partition(f"\n{name}")[2].splitlines()
+    )
     return [name + first, *takewhile(lambda line: line.startswith("  "), rest)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_of_failure_has_a_short_block_line_and_summary(project, examined, monkeypatch, kind):
+def test_each_kind_of_failure_has_a_short_block_line_and_summary(
+    project, examined, monkeypatch, kind
+):
     monkeypatch.setenv("COLUMNS", "80")
     project.write(of_kinds(kind))
     result = project.run_once("--pafot-shrink-runs=40", runs=40, seed=2)
@@ -106,14 +120,20 @@ def test_each_kind_of_failure_has_a_short_block_line_and_summary(project, examin
     assert lines[0].strip("_ ") == f"test_{kind}[saved-{project.only_id}]"
     assert lines[-1] == f"replay pytest {project.files[0]}"
     before = result.stdout.str().partition(" FAILURES ")[0].splitlines()
-    assert [line for line in before if project.only_id in line] == [f"pafot: found {KINDS[kind][3]}: {name}"]
+    assert [line for line in before if project.only_id in line] == [
+        f"pafot: found {KINDS[kind][3]}: {name}"
+    ]
     assert 2 <= len(of_search(result, f"test_it.py::test_{kind}[search]")) <= 8
 
 
 @pytest.mark.parametrize("columns", [60, 80, 120, 200])
-def test_no_line_of_a_block_or_summary_but_its_command_exceeds_the_terminal(project, examined, monkeypatch, columns):
+def test_no_line_of_a_block_or_summary_but_its_command_exceeds_the_terminal(
+    project, examined, monkeypatch, columns
+):
     monkeypatch.setenv("COLUMNS", str(columns))
-    kinds = [kind for kind in KINDS if kind not in ("hang", "death")]  # whose texts are short, but whose runs are slow
+    kinds = [
+        kind for kind in KINDS if kind not in ("hang", "death")
+    ]  # whose texts are short, but whose runs are slow
     project.write(of_kinds(*kinds))
     result = project.run(runs=40, seed=2)
     told = blocks(result)
@@ -145,12 +165,20 @@ def test_finding_with_a_takeover_keeps_its_recorded_property(explained):
     search(explained, "--junitxml=junit.xml", "-ojunit_family=xunit1")
     assert load(explained.only_file).expect.takeover is not None
     cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
-    assert [sum(each.get("name") == "speed" for each in case.iter("property")) for case in cases] == [1, 1]
+    assert [
+        sum(each.get("name") == "speed" for each in case.iter("property")) for case in cases
+    ] == [1, 1]
 
 
 def test_record_contains_explanation_and_takeover_of_the_collision(explained):
-    results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", runs=0)]
-    records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
+    results = [
+        search(explained, "--pafot-json=1.json"),
+        search(explained, "--pafot-json=2.json", runs=0),
+    ]
+    records = [
+        read_record((explained.path / name).read_text(encoding="utf-8"))
+        for name in ("1.json", "2.json")
+    ]
     found, replayed = (record.findings[0].sentences for record in records)
     assert found == replayed
     for result in results:
@@ -161,7 +189,9 @@ def test_record_contains_explanation_and_takeover_of_the_collision(explained):
 def test_an_id_is_not_repeated_without_need(explained):
     text = search(explained).stdout.str()
     told = [line for line in text.splitlines() if explained.only_id in line]
-    assert len(told) == 6  # announced; title, command; summary of the search; both lines of pytest's short summary
+    assert (
+        len(told) == 6
+    )  # announced; title, command; summary of the search; both lines of pytest's short summary
 
 
 @pytest.mark.parametrize("flag", ["-v", "--tb=long"])
@@ -249,7 +279,9 @@ def test_texts():
 """
 
 
-@pytest.mark.parametrize("options", [(), ("--capture=sys",), ("--capture=tee-sys",), ("--pafot-isolate",)])
+@pytest.mark.parametrize(
+    "options", [(), ("--capture=sys",), ("--capture=tee-sys",), ("--pafot-isolate",)]
+)
 def test_item_that_passed_keeps_only_the_ends_of_its_output(project, options):
     project.write(KEPT)
     project.run(*options).assert_outcomes(passed=2)

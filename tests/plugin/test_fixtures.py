@@ -78,7 +78,9 @@ def test_search(run):
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
-        ["*expected the fixture pafot_world to return pafot.High*'highway-v0'. Did you mean pafot.World(*-v0*)[?]"]
+        [
+            "*expected the fixture pafot_world to return pafot.High*'highway-v0'. Did you mean pafot.World(*-v0*)[?]"
+        ]
     )
 
 

@@ -41,7 +41,11 @@ def replay(project, *args, **options):
 
 
 def told(result):
-    return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
+    return [
+        line.removeprefix("not run: ")
+        for line in result.stdout.lines
+        if line.startswith("not run: ")
+    ]
 
 
 def is_red(result):
@@ -58,7 +62,9 @@ def is_only_told(result):
 
 DROPS = "items[:] = [item for item in items if 'fails' not in item.nodeid]"
 HOOK = "\ndef pytest_collection_modifyitems(config, items):\n    "
-DESELECTS = "config.hook.pytest_deselected(items=[item for item in items if 'fails' in item.nodeid]); "
+DESELECTS = (
+    "config.hook.pytest_deselected(items=[item for item in items if 'fails' in item.nodeid]); "
+)
 PARAMETER = "metafunc.fixturenames.append('again'); metafunc.parametrize('again', [1, 2])"
 SKIPS = "if 'saved' in item.nodeid: pytest.skip('no')"
 
@@ -87,8 +93,12 @@ LEAVE_OUT = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "settings", "conftest", "test"), LEAVE_OUT, ids=[row[0] for row in LEAVE_OUT])
-def test_whatever_leaves_out_a_saved_scenario_fails_a_ci_session(passing, name, settings, conftest, test):
+@pytest.mark.parametrize(
+    ("name", "settings", "conftest", "test"), LEAVE_OUT, ids=[row[0] for row in LEAVE_OUT]
+)
+def test_whatever_leaves_out_a_saved_scenario_fails_a_ci_session(
+    passing, name, settings, conftest, test
+):
     passing.pytester.makeini(f"[pytest]\n{settings}\n")
     with (passing.path / "conftest.py").open("a") as file:
         file.write(f"\n{conftest}\n")
@@ -110,7 +120,9 @@ def test_whatever_leaves_out_a_saved_scenario_fails_a_ci_session(passing, name, 
     ["other"], ["other/test_other.py::test_other"], ["--ignore=driving"], ["--ignore-glob=*ing"],
     ["--splits=3", "--group=3"],
 ])  # fmt: skip
-def test_what_this_call_did_not_choose_is_no_failure_and_only_what_a_part_leaves_out_is_told(passing, args):
+def test_what_this_call_did_not_choose_is_no_failure_and_only_what_a_part_leaves_out_is_told(
+    passing, args
+):
     pytest.importorskip("pytest_split")
     result = replay(passing, *args, plugins=("pytest-split",))
     assert is_only_told(result) if args[0].startswith("--splits") else told(result) == []
@@ -149,7 +161,10 @@ def test_line_names_five_files_and_the_number_of_the_others(saved, ci):
     assert is_red(result)
     assert told(result) == [f"6 saved scenarios: {five} and 1 more"]
     result.stdout.fnmatch_lines(
-        [f"this session did not run 6 saved scenarios: {five} and 1 more", "*This is an error because CI is set. To*"]
+        [
+            f"this session did not run 6 saved scenarios: {five} and 1 more",
+            "*This is an error because CI is set. To*",
+        ]
     )
 
 
@@ -163,9 +178,17 @@ def test_every_output_has_what_a_session_left_out(saved, monkeypatch, tmp_path_f
     assert is_red(replay(saved, "--pafot-json=p.json", "--junitxml=j.xml", "-p", "junitxml"))
     record = json.loads((saved.path / "p.json").read_text())
     (orphan,) = record["orphans"]
-    assert (record["exit"], orphan["folder"], orphan["files"], orphan["is_gone"]) == (1, FOLDER, 1, True)
+    assert (record["exit"], orphan["folder"], orphan["files"], orphan["is_gone"]) == (
+        1,
+        FOLDER,
+        1,
+        True,
+    )
     assert "**Saved scenarios that were not replayed**" in summary.read_text()
-    assert '<error message="failed on setup with &quot;this session did not run 1' in (saved.path / "j.xml").read_text()
+    assert (
+        '<error message="failed on setup with &quot;this session did not run 1'
+        in (saved.path / "j.xml").read_text()
+    )
     shutil.move(saved.path / FOLDER, saved.path / f"{FOLDER}_fast")
     replay(saved).assert_outcomes(passed=1, skipped=1)
 
@@ -206,7 +229,9 @@ def test_rootdir_may_be_elsewhere(passing, tmp_path_factory):
     rootdir = f"--rootdir={tmp_path_factory.mktemp('elsewhere')}"
     assert (replay(passing, rootdir).ret, told(replay(passing, rootdir))) == (0, [])
     (passing.path / "driving" / "test_it.py").unlink()
-    replay(passing, rootdir).stdout.fnmatch_lines([f"ERROR *{ERROR} - *", "*1 passed, 1 error in *"])
+    replay(passing, rootdir).stdout.fnmatch_lines(
+        [f"ERROR *{ERROR} - *", "*1 passed, 1 error in *"]
+    )
 
 
 @pytest.mark.parametrize(("folder", "file"), [
@@ -241,9 +266,13 @@ def test_copies_of_saved_scenarios_that_are_run_are_not_meant(passing):
 def test_each_of_several_corpora_has_to_be_run(passing):
     shutil.copytree(passing.path / "driving", passing.path / "my other")
     (passing.path / "my other" / "test_it.py").rename(passing.path / "my other" / "test_that.py")
-    passing.path.joinpath("my other/pafot_corpus/test_it").rename(passing.path / "my other/pafot_corpus/test_that")
+    passing.path.joinpath("my other/pafot_corpus/test_it").rename(
+        passing.path / "my other/pafot_corpus/test_that"
+    )
     file = next((passing.path / "my other").rglob("*.pafot.yaml"))
-    file.write_text(file.read_text().replace("test: driving/test_it.py", "test: my other/test_that.py"))
+    file.write_text(
+        file.read_text().replace("test: driving/test_it.py", "test: my other/test_that.py")
+    )
     replay(passing).assert_outcomes(passed=3, skipped=2)
     passing.pytester.makeini("[pytest]\ntestpaths = driving\n")
     result = replay(passing)
@@ -276,7 +305,15 @@ PLACES = (
     "pafot_corpus/pafot_corpus/test_it/test_fails/a.pafot.yaml",
     *(
         f"{FOLDER}/a{suffix}"
-        for suffix in (".pafot.yml", ".yml", ".yaml", ".PAFOT.YAML", ".pafot.Yml", ".pafot.yaml.gz", ".pafot.yaml.dvc")
+        for suffix in (
+            ".pafot.yml",
+            ".yml",
+            ".yaml",
+            ".PAFOT.YAML",
+            ".pafot.Yml",
+            ".pafot.yaml.gz",
+            ".pafot.yaml.dvc",
+        )
     ),
     "A.Pafot.Yaml",
 )
@@ -322,7 +359,9 @@ def test_a_shared_corpus_may_have_fewer_folders_above_it_than_the_tests(saved, c
     replay(saved, f"--pafot-corpus={shared}").assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_shared_corpus_outside_of_the_project_does_not_lose_a_folder_of_tests(saved, ci, tmp_path_factory):
+def test_a_shared_corpus_outside_of_the_project_does_not_lose_a_folder_of_tests(
+    saved, ci, tmp_path_factory
+):
     """Nothing leads there from the tests that are left."""
     shared, tests = tmp_path_factory.mktemp("shared"), saved.path / "tests"
     shutil.copytree(saved.path / "pafot_corpus", shared / "tests" / "old")
@@ -478,11 +517,20 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypa
     project.write(LEFT_OUT)
     project.write(COLLECTED, name="test_collected")
     project.write(SHARED, name="shared")
-    project.write("from test_it import never_at_fault, Safety\n\ndef test_other():\n    pass\n", name="test_other")
+    project.write(
+        "from test_it import never_at_fault, Safety\n\ndef test_other():\n    pass\n",
+        name="test_other",
+    )
     conftest = project.path / "conftest.py"
     conftest.write_text(conftest.read_text() + IN_CONFTEST)
     no_warning = "-Wignore::pytest.PytestCollectionWarning"
-    names = ("Safety", "SafetySuite::test_it", "TestConstructed::test_it", "TestEmpty", "TestIt::drives")
+    names = (
+        "Safety",
+        "SafetySuite::test_it",
+        "TestConstructed::test_it",
+        "TestEmpty",
+        "TestIt::drives",
+    )
     names = [f"test_it.py::{name}" for name in (*names, "never_at_fault", "test_twice")]
     for args in ([], ["-k", "other"]):
         result = replay(project, no_warning, *args)
@@ -492,7 +540,9 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypa
     result = replay(project, no_warning, "--pafot-allow-orphans")
     assert result.ret == 1
     counted = "pytest did not collect 8 tests with a pafot mark: conftest.py::test_in_conftest, *"
-    result.stdout.fnmatch_lines([counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"])
+    result.stdout.fnmatch_lines(
+        [counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"]
+    )
     assert replay(project, no_warning, "test_it.py::test_once").ret == 0  # a narrower choice
 
 
@@ -505,7 +555,9 @@ def test_saved_scenario_in_a_folder_that_pytest_passes_by_fails_a_ci_session(pas
         assert is_red(replay(passing, *args))
 
 
-@pytest.mark.parametrize("archive", ["pafot_corpus.dvc", "pafot_corpus/test_it.zip", f"{FOLDER}.tar.gz"])
+@pytest.mark.parametrize(
+    "archive", ["pafot_corpus.dvc", "pafot_corpus/test_it.zip", f"{FOLDER}.tar.gz"]
+)
 def test_saved_scenarios_that_are_still_in_an_archive_fail_a_ci_session(saved, ci, archive):
     saved.path.joinpath(archive).write_text("")
     assert not is_red(replay(saved))  # The files are there, too.
@@ -533,18 +585,24 @@ def test_saved_scenarios_that_a_checkout_leaves_out_fail_a_ci_session(saved, ci)
     assert (is_red(result), told(result)) == (True, ["1 saved scenario: pafot_corpus"])
 
 
-@pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
+@pytest.mark.parametrize(
+    "place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"]
+)
 def test_what_is_no_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, monkeypatch, place):
     with monkeypatch.context() as patch:
         unlisted(patch, saved.path / place)
         assert is_red(replay(saved))
     shutil.rmtree(saved.path / place)
-    (saved.path / place).write_text("../elsewhere")  # so git writes a link, where it may not make links
+    (saved.path / place).write_text(
+        "../elsewhere"
+    )  # so git writes a link, where it may not make links
     result = replay(saved)
     assert (is_red(result), told(result)) == (True, [f"1 saved scenario: {place}"])
 
 
-@pytest.mark.parametrize("given", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
+@pytest.mark.parametrize(
+    "given", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"]
+)
 def test_corpus_on_the_command_line_is_replayed(saved, given):
     saved.write("def test_unit():\n    pass\n", name="test_unit")
     replay(saved, given).assert_outcomes(failed=1)

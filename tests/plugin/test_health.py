@@ -2,10 +2,14 @@
 
 
 def test_search_in_which_most_runs_are_rejected_fails(project):
-    project.write("@pafot.search(SHORT)\ndef test_rejects(run):\n    int(run.scenario.id, 16) % 4 and pafot.reject()\n")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_rejects(run):\n    int(run.scenario.id, 16) % 4 and pafot.reject()\n"
+    )
     result = project.run(runs=16)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["the search tested too little:", "* of * tested nothing (* rejected or skipped*"])
+    result.stdout.fnmatch_lines(
+        ["the search tested too little:", "* of * tested nothing (* rejected or skipped*"]
+    )
 
 
 def test_health_warnings_fail_only_in_strict_mode(project):
@@ -57,4 +61,6 @@ def pytest_unconfigure():
 """)
     project.write("@pafot.search\ndef test_a(run):\n    pass\n")
     result = project.run("--collect-only", fresh=True)
-    result.stdout.fnmatch_lines(["pafot: 1 search, 0 saved scenarios*", "*test_a[[]search[]]*", "heavy:"])
+    result.stdout.fnmatch_lines(
+        ["pafot: 1 search, 0 saved scenarios*", "*test_a[[]search[]]*", "heavy:"]
+    )

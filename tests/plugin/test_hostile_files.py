@@ -49,7 +49,10 @@ def write_hostile(project):
     }
     for name, text in files.items():
         path.with_name(f"{name}.pafot.yaml").write_text(text, encoding="utf-8")
-    for folder in (path.parent.with_name(f"gone {WORST}"), path.parents[1]):  # an orphan, and a stray file
+    for folder in (
+        path.parent.with_name(f"gone {WORST}"),
+        path.parents[1],
+    ):  # an orphan, and a stray file
         folder.mkdir(exist_ok=True)
         (folder / f"other {WORST}.pafot.yaml").write_text(files["texts"], encoding="utf-8")
     project.leave_behind(WORST)
@@ -64,7 +67,14 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     monkeypatch.setenv("CI", "1")
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(saved.path / "summary.md"))
-    options = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json", "-rA", "-v", "-l"]
+    options = [
+        "--junitxml=junit.xml",
+        "--pafot-report=page.html",
+        "--pafot-json=session.json",
+        "-rA",
+        "-v",
+        "-l",
+    ]
     result = saved.run(*options, "--color=no", runs=0)
     assert not result.errlines
     assert obeyed(result.stdout.str()) == []
@@ -79,9 +89,20 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     ElementTree.parse(saved.path / "junit.xml")
     records = json.loads((saved.path / "session.json").read_text())["findings"]
     assert len(records) == count
-    assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
+    assert any(
+        record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml")
+        for record in records
+    )
     assert any(record["xfail"] == {"reason": WORST, "until": "2027-01-31"} for record in records)
-    for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):  # files without differences by style
+    for name in (
+        "accepted",
+        "over",
+        "flaky",
+        "value",
+        "nested",
+        "key",
+        "scalar",
+    ):  # files without differences by style
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
         options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]
@@ -100,5 +121,7 @@ def test_workers_accept_file_names_that_are_not_text(saved):
     result = saved.run("-n1", "--pafot-json=session.json", runs=0, apart=True)
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines([r"not run: 1 saved scenario: *\udcffgone/\udcff.pafot.yaml"])
-    files = [each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]]
+    files = [
+        each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]
+    ]
     assert any(file.endswith("\udcff.pafot.yaml") for file in files)

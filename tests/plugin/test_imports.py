@@ -36,12 +36,17 @@ def test_session_without_marked_tests_imports_no_other_module(project):
     project.pytester.makeconftest("")
     found = []
     # Another plugin is in both, because pytest reads a package's metadata for the first installed plugin.
-    for name, options in (("with.json", ["-p", "xdist", "-p", "pafot"]), ("without.json", ["-p", "xdist"])):
+    for name, options in (
+        ("with.json", ["-p", "xdist", "-p", "pafot"]),
+        ("without.json", ["-p", "xdist"]),
+    ):
         project.pytester.makepyfile(test_it=MODULES.format(name=name))
         project.pytester.runpytest_subprocess(*options).assert_outcomes(passed=1)
         found.append(set(json.loads((project.path / name).read_text())))
     gained = found[0] - found[1]
-    assert {name for name in gained if name != "pytest_pafot"} == {f"pytest_pafot.{name}" for name in UNUSED}
+    assert {name for name in gained if name != "pytest_pafot"} == {
+        f"pytest_pafot.{name}" for name in UNUSED
+    }
 
 
 def test_session_without_marked_tests_makes_few_data_classes():
@@ -84,12 +89,18 @@ def private_names(path):
     """Return the private modules and attributes of other packages that a module uses."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    imported += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    imported += [
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    ]
     attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
     private = [
         node.attr
         for node in attributes
-        if node.attr.startswith("_") and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+        if node.attr.startswith("_")
+        and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
     ]
     of_python = ("_exit", "_current_frames")  # documented by Python, in os and sys
     return [

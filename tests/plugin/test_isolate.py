@@ -90,7 +90,9 @@ def summary(result):
     return [line for line in test_workers.summary(result) if not line.startswith("at ")]
 
 
-@pytest.mark.parametrize(("drive", "more"), [("keep", ""), ("fails", FAILS)], ids=["plain", "raises"])
+@pytest.mark.parametrize(
+    ("drive", "more"), [("keep", ""), ("fails", FAILS)], ids=["plain", "raises"]
+)
 def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
     project = isolated(drive, more)
     here, contents = session(project)
@@ -108,7 +110,9 @@ def test_ads_never_runs_in_the_session_process(isolated):
     project = isolated(test=MANY.replace("npcs=2", "npcs=2, isolate=True"))
     _, contents = session(project, runs=12)
     assert len(contents) > 1
-    assert len(pids(project)) == 2, "one process for the search, one for what follows it, and no more for each finding"
+    assert len(pids(project)) == 2, (
+        "one process for the search, one for what follows it, and no more for each finding"
+    )
     project.run("-p", "no:cacheprovider", runs=4)
     assert len(pids(project)) > 3
     assert f"pid-{os.getpid()}" not in pids(project)
@@ -118,7 +122,10 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
     result = project.run("--pafot-isolate", "--pafot-shrink-runs=0", runs=12, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
-    assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
+    assert (
+        load(project.path / crash).expect.message
+        == "the process that ran this scenario ended with exit code 9"
+    )
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
     result.stdout.fnmatch_lines(["*[[]search[]]: * of 12 r* failed*"])
@@ -156,7 +163,9 @@ def test_process_death_while_shrinking_is_a_finding(isolated):
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
-    result.stdout.fnmatch_lines(["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"])  # none of the search
+    result.stdout.fnmatch_lines(
+        ["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"]
+    )  # none of the search
 
 
 ONCE = """
@@ -173,7 +182,9 @@ def drive(observation):
 
 
 def test_finding_whose_rerun_kills_process_is_flaky(isolated):
-    project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
+    project = isolated(
+        "drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1")
+    )
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", runs=4, apart=True)
     assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
     result.assert_outcomes(failed=2, passed=1)
@@ -194,7 +205,9 @@ class Exits:
             os._exit(0)
         return 0.0, 0.0
 """
-SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 15.0)]], ego_speed=20.0)\n"
+SCENARIO = (
+    "SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 15.0)]], ego_speed=20.0)\n"
+)
 
 
 SIMULATED = """

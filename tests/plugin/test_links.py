@@ -38,7 +38,11 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     before = all_in(elsewhere)
     result = failing.run("-rA", "--junitxml=junit.xml", "--pafot-json=out.json", "--showlocals")
     result.assert_outcomes(failed=8, passed=1)
-    shown = result.stdout.str() + (failing.path / "junit.xml").read_text() + (failing.path / "out.json").read_text()
+    shown = (
+        result.stdout.str()
+        + (failing.path / "junit.xml").read_text()
+        + (failing.path / "out.json").read_text()
+    )
     assert "HUSH" not in shown
     for number in range(6):
         name = folder / f"l-{number}.pafot.yaml"
@@ -48,21 +52,33 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
     failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
-    assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # it leads to itself
+    assert (
+        failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR
+    )  # it leads to itself
 
 
 def test_overlong_links_and_names_do_not_end_session(failing):
     failing.run()
     file = failing.only_file
     folder, module, corpus = file.parents[:3]
-    for gone in (module / "test_gone", corpus / ("m" * 254) / "test_gone"):  # too long for a file's name with .py
+    for gone in (
+        module / "test_gone",
+        corpus / ("m" * 254) / "test_gone",
+    ):  # too long for a file's name with .py
         gone.mkdir(parents=True)
         shutil.copy(file, gone)
-    for link in (folder / "a.pafot.yaml", module / "test_gone" / "folder", module / "test_linked", corpus / "linked"):
+    for link in (
+        folder / "a.pafot.yaml",
+        module / "test_gone" / "folder",
+        module / "test_linked",
+        corpus / "linked",
+    ):
         link.symlink_to("x" * 300)
     result = failing.run(runs=0)
     result.assert_outcomes(failed=2, skipped=1)
-    result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file inside the corpus, received a link *"])
+    result.stdout.fnmatch_lines(
+        [f"{folder / 'a.pafot.yaml'}: expected a file inside the corpus, received a link *"]
+    )
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -77,7 +93,9 @@ def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level
     before = all_in(elsewhere)
     result = failing.run(seed=2)
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, which may lead to*"])
+    result.stdout.fnmatch_lines(
+        [f"*expected a folder, received the link {folder}, which may lead to*"]
+    )
     failing.run("--pafot-save=none", seed=2)
     failing.run(runs=0)
     assert all_in(elsewhere) == before
@@ -100,7 +118,9 @@ def test_corpus_given_by_absolute_path_may_be_link(failing, elsewhere):
     (failing.path / "link").symlink_to(elsewhere)
     failing.run("--pafot-corpus", failing.path / "link")
     assert len(list(elsewhere.glob("test_it/test_fails/*.pafot.yaml"))) == 1
-    failing.run("--pafot-corpus", failing.path / "link", runs=0).assert_outcomes(failed=1, skipped=1)
+    failing.run("--pafot-corpus", failing.path / "link", runs=0).assert_outcomes(
+        failed=1, skipped=1
+    )
 
 
 def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere):
@@ -109,7 +129,10 @@ def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere
     before = all_in(elsewhere)
     result = failing.run("--pafot-report=out/page.html", "--pafot-json=out/o.json")
     why = f"was not written: expected a folder, received the link {failing.path / 'out'}, *"
-    told = (f"*--pafot-report=out/page.html: the page {why}", f"*--pafot-json=out/o.json: the file {why}")
+    told = (
+        f"*--pafot-report=out/page.html: the page {why}",
+        f"*--pafot-json=out/o.json: the file {why}",
+    )
     result.stdout.fnmatch_lines_random(told)
     assert all_in(elsewhere) == before
     failing.run(f"--pafot-json={failing.path / 'out' / 'o.json'}")
@@ -123,5 +146,7 @@ def test_corpus_link_out_of_project_is_not_listed(project, elsewhere):
     corpus = project.path / "pafot_corpus"
     corpus.symlink_to(elsewhere.parent)
     result = project.run(runs=0)
-    result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, which may lead to*"])
+    result.stdout.fnmatch_lines(
+        [f"*problem: expected a folder, received the link {corpus}, which may lead to*"]
+    )
     assert "secret_name" not in result.stdout.str()

@@ -14,7 +14,9 @@ def test_function_that_returns_a_value_is_refused(project):
     project.write("@pafot.search(SHORT)\ndef test_returns(run):\n    return run.min_ttc > 1\n")
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*the test function returned False, but it must assert*Write `assert ...`*"])
+    result.stdout.fnmatch_lines(
+        ["*the test function returned False, but it must assert*Write `assert ...`*"]
+    )
     assert project.files == []
 
 
@@ -25,13 +27,18 @@ def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
     project.write(search + search.replace("Planner", "Planer").replace("test_search", "test_wrong"))
     result = project.run("-ppytester", "-opythonpath=.", "--pafot-runs=2")
     result.assert_outcomes(passed=1, errors=1)
-    result.stdout.fnmatch_lines(["@pafot.search(ads=...): expected a factory in the module named, *'named:Planner'?"])
+    result.stdout.fnmatch_lines(
+        ["@pafot.search(ads=...): expected a factory in the module named, *'named:Planner'?"]
+    )
 
 
 ONCE = ("pytest_benchmark", "pytest_codspeed", "syrupy")
 COLLECTS = "*received one that uses the fixture '*', which only collects failures*Use `assert`*"
 FIXTURES = {"subtests": COLLECTS, "indirectly": COLLECTS}
-FIXTURES |= {f"of_{package}": f"*received one that uses the fixture 'of_{package}' from {package}*" for package in ONCE}
+FIXTURES |= {
+    f"of_{package}": f"*received one that uses the fixture 'of_{package}' from {package}*"
+    for package in ONCE
+}
 OF_PACKAGE = """
 @pytest.fixture
 def of_PACKAGE():
@@ -49,8 +56,13 @@ def test_other(indirectly):
 
 
 def test_fixture_that_collects_failures_or_is_for_one_call_is_refused(project):
-    tests = (f"@pafot.search(SHORT)\ndef test_{each}(run, {each}):\n    assert {each} is None\n" for each in FIXTURES)
-    project.write("\n".join([*(OF_PACKAGE.replace("PACKAGE", each) for each in ONCE), INDIRECTLY, *tests]))
+    tests = (
+        f"@pafot.search(SHORT)\ndef test_{each}(run, {each}):\n    assert {each} is None\n"
+        for each in FIXTURES
+    )
+    project.write(
+        "\n".join([*(OF_PACKAGE.replace("PACKAGE", each) for each in ONCE), INDIRECTLY, *tests])
+    )
     result = project.run()
     result.assert_outcomes(failed=len(FIXTURES), passed=1)
     for name, line in FIXTURES.items():
@@ -80,7 +92,9 @@ def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.write(test.replace("LEAST", "99"))
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*received one that uses pytest-check, which only collects failures*"])
+    result.stdout.fnmatch_lines(
+        ["*received one that uses pytest-check, which only collects failures*"]
+    )
 
 
 def test_unsuitable_function_is_one_error_and_others_run(project):
@@ -165,7 +179,9 @@ class TestClass:
 
 @pytest.mark.parametrize("target", [partial(print, 1), lambda run: None], ids=["object", "lambda"])
 def test_what_pytest_does_not_collect_cannot_be_decorated(target):
-    with pytest.raises(TypeError, match=r"received (<function|functools.partial).* does not collect"):
+    with pytest.raises(
+        TypeError, match=r"received (<function|functools.partial).* does not collect"
+    ):
         pafot.search(ads="ads")(target)
 
 
@@ -179,7 +195,9 @@ class TestClass:
     project.run().assert_outcomes(failed=2)
     assert "TestClass.test_fails" in project.files[0]
     result = project.run("-v", runs=0)
-    result.stdout.fnmatch_lines([f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"])
+    result.stdout.fnmatch_lines(
+        [f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"]
+    )
 
 
 def test_given_and_search_on_one_function_are_refused(project):
@@ -199,25 +217,40 @@ def test_given_and_search_on_one_function_are_refused(project):
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of ads, *"),
     ("5", "*expected only keyword arguments, received (5,)*"),
-    ("today='a'", "*this option applies to the whole session. Use --pafot-today on the command line*"),
+    (
+        "today='a'",
+        "*this option applies to the whole session. Use --pafot-today on the command line*",
+    ),
     ("blame='npc'", "*(blame=...): expected any or ego, received 'npc'. blame='ego'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     (
         "world=pafot.Highway",
         "*(world=...): expected pafot.Highway(...), pafot.World(...)*received <class*. Call it: Highway(...)",
     ),
-    ("lanes=3", "*(lanes=...): expected an argument of a search*. Write world=pafot.Highway(lanes=...)*"),
+    (
+        "lanes=3",
+        "*(lanes=...): expected an argument of a search*. Write world=pafot.Highway(lanes=...)*",
+    ),
     ("generations=0", "*(generations=0): expected at least 1, because 0 generations test nothing*"),
     ("shrink_runs=-1", "*(shrink_runs=...): expected a whole number, at least 0, received -1*"),
-    ("algorithm='pytest:Nobody'", "*algorithm: expected a name in the module pytest, received 'pytest:Nobody'*"),
-    ("algorithm='magic'", "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*"),
+    (
+        "algorithm='pytest:Nobody'",
+        "*algorithm: expected a name in the module pytest, received 'pytest:Nobody'*",
+    ),
+    (
+        "algorithm='magic'",
+        "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*",
+    ),
 ]
 """Arguments that are an error of their item before any fixture, and the error's text."""
 
 
 def told_of(project, cases, before=""):
     """Return a session's result. The failure of each of these arguments tells its message."""
-    tests = [f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n" for n, (arguments, _) in enumerate(cases)]
+    tests = [
+        f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n"
+        for n, (arguments, _) in enumerate(cases)
+    ]
     project.write("\n".join([before, *tests, "def test_other():\n    pass\n"]))
     result = project.run()
     for n, (_, message) in enumerate(cases):
@@ -227,7 +260,9 @@ def told_of(project, cases, before=""):
 
 
 def test_wrong_argument_is_an_error_before_any_fixture(project):
-    result = told_of(project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n")
+    result = told_of(
+        project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n"
+    )
     result.assert_outcomes(errors=len(WRONG), passed=1)
     result.stdout.no_fnmatch_line("All traceback entries are hidden*")
     assert "set up" not in result.stdout.str()
@@ -235,10 +270,19 @@ def test_wrong_argument_is_an_error_before_any_fixture(project):
 
 REFUSED = [
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-    ("gene_seconds=0", "*gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 0*"),
-    ("SHORT, instructions='cell'", "*instructions: expected one of cells, lanes, both, but received 'cell'*"),
+    (
+        "gene_seconds=0",
+        "*gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 0*",
+    ),
+    (
+        "SHORT, instructions='cell'",
+        "*instructions: expected one of cells, lanes, both, but received 'cell'*",
+    ),
     ("ego_lane=7", "*ego_lane*"),
-    ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
+    (
+        "world=pafot.World('highway-v0', config={'colour': 1})",
+        "*(world=...): config: expected *received colour*",
+    ),
     ("fitness='best'", "*(fitness=...): *'best'*"),
     ("fitness=lambda trace: 'high'", "*fitness: expected *"),
 ]
@@ -319,7 +363,9 @@ def test_skips_later(run):
     result.stdout.fnmatch_lines(["  4 runs (2 skipped)* took * s."])
 
 
-@pytest.mark.parametrize("skip", ["pytest.skip('not today')", "raise unittest.SkipTest('not today')"])
+@pytest.mark.parametrize(
+    "skip", ["pytest.skip('not today')", "raise unittest.SkipTest('not today')"]
+)
 def test_skipping_every_scenario_skips_the_test(project, skip):
     project.write(f"import unittest\n\n@pafot.search(SHORT)\ndef test_skips(run):\n    {skip}\n")
     result = project.run("-rs")
@@ -353,10 +399,14 @@ def test_NUMBER(run):
     if run.scenario.npcs[0][0].speed < 15:
         raise RAISED
 """
-    tests = (test.replace("NUMBER", str(n)).replace("RAISED", each) for n, each in enumerate(raised))
+    tests = (
+        test.replace("NUMBER", str(n)).replace("RAISED", each) for n, each in enumerate(raised)
+    )
     project.write(classes + "".join(tests))
     project.run(runs=12).stdout.fnmatch_lines(["FAILED * new failures in *"] * len(raised))
-    failures = {(name.split("/")[2], load(project.path / name).expect.failure) for name in project.files}
+    failures = {
+        (name.split("/")[2], load(project.path / name).expect.failure) for name in project.files
+    }
     assert failures == {(f"test_{n}", each.partition("(")[0]) for n, each in enumerate(raised)}
 
 
@@ -375,4 +425,6 @@ def test_hangs(run):
 """)
     result = project.run(runs=20, plugins=("timeout",))
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
+    result.stdout.fnmatch_lines(
+        ["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"]
+    )

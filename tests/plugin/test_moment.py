@@ -17,7 +17,9 @@ def run(project, *args, **options):
     project.forget()
     result = project.run("--pafot-json=out.json", *args, **{"runs": 40, "seed": 2, **options})
     (record,) = [
-        each for each in json.loads((project.path / "out.json").read_text())["findings"] if each["status"] == "new"
+        each
+        for each in json.loads((project.path / "out.json").read_text())["findings"]
+        if each["status"] == "new"
     ]
     return result, record, project.contents
 
@@ -29,7 +31,9 @@ def run(project, *args, **options):
         (IndexError("not here"), "were not examined: IndexError: not here"),
     ],
 )
-def test_an_examination_without_time_or_with_an_error_loses_no_finding(project, monkeypatch, error, told):
+def test_an_examination_without_time_or_with_an_error_loses_no_finding(
+    project, monkeypatch, error, told
+):
     def fails(*_):
         raise error
         yield
@@ -56,7 +60,12 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     project.write(HIDES.replace("ADS", "def make():\n    return lambda seen: 1"))
     result, record, _ = run(project, "--pafot-shrink-runs=0")
     moment = record["moment"]
-    assert (moment["npc"], moment["action"], moment["hidden"], moment["otherwise"]) == (0, "1", "", None)
+    assert (moment["npc"], moment["action"], moment["hidden"], moment["otherwise"]) == (
+        0,
+        "1",
+        "",
+        None,
+    )
     result.stdout.re_match_lines([r"At \d+\.\d s, the policy saw NPC 0 .*"])
     apart = run(project, "--pafot-shrink-runs=0", "--pafot-isolate")[1]
     assert apart["moment"] == moment
@@ -85,7 +94,10 @@ def test_collides(run):
 """)
     result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
-    assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
+    assert (moment["action"], moment["reference"]) == (
+        "acceleration 0.0 m/s^2",
+        "acceleration -6.0 m/s^2",
+    )
     answers = r"the policy chose acceleration 0\.0 m/s\^2, and the reference chose acceleration -6\.0 m/s\^2\."
     result.stdout.re_match_lines([rf"At \d+\.\d s, in the first decision that differs, {answers}"])
 
@@ -122,14 +134,19 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
     assert row.endswith(") -> True")
     result.stdout.re_match_lines(
-        [r"At \d+\.\d s, the policy saw .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
+        [
+            r"At \d+\.\d s, the policy saw .*",
+            rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*",
+        ]
     )
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
     apart = run(project, *options, "--pafot-isolate", runs=80, seed=4)[1]
     assert apart["moment"] == record["moment"]
 
 
-def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(project):
+def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(
+    project,
+):
     project.write("""
 def moves_over(seen):
     lane = 1 if seen.time > 3.0 else 0
@@ -144,10 +161,14 @@ def test_never_moves_over_at_fault(run):
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
     (told,) = moment["conditions"]
     assert told["about"] == NOBODY
-    assert told["evaluated"][0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
+    assert told["evaluated"][0].endswith(
+        "seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False"
+    )
 
 
-def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
+def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(
+    project, monkeypatch
+):
     monkeypatch.setattr("pytest_pafot.searches.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
     moment = run(project, "--pafot-shrink-runs=0", runs=80, seed=4)[1]["moment"]

@@ -15,7 +15,9 @@ class Item(SimpleNamespace):
         self.parent = None if parent is None else SimpleNamespace(nodeid=parent)
 
     def get_closest_marker(self, name):
-        return None if self.saved is None else SimpleNamespace(args=[SimpleNamespace(id=self.saved)])
+        return (
+            None if self.saved is None else SimpleNamespace(args=[SimpleNamespace(id=self.saved)])
+        )
 
 
 NAMES = [
@@ -30,7 +32,9 @@ NAMES = [
 
 
 @pytest.mark.parametrize(("base", "search", "saved"), NAMES)
-def test_search_and_saved_items_share_their_base_name_and_a_finding_is_named_like_its_item(base, search, saved):
+def test_search_and_saved_items_share_their_base_name_and_a_finding_is_named_like_its_item(
+    base, search, saved
+):
     assert base_name(Item(search)) == base_name(Item(saved, "cut-in-3fa9c1")) == base
     assert base_id(Item(search)) == f"test_it.py::TestBraking::{base}"
     assert saved_node_id(Item(search), "cut-in-3fa9c1") == f"test_it.py::TestBraking::{saved}"

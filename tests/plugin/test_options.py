@@ -24,7 +24,9 @@ def settings(project, *args, ini="", marker=None):
     # One config with the same lines serves all tests, because nothing writes to it.
     if (ini, args) not in project.found:
         # unraisableexception collects all garbage when a config ends, which is slow and not needed here.
-        config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
+        config = project.pytester.parseconfigure(
+            "-p", "pafot", "-p", "no:unraisableexception", *args
+        )
         project.found[ini, args] = config
     return resolve(project.found[ini, args], marker or {})
 
@@ -38,7 +40,8 @@ def test_search_without_options_repeats_itself_everywhere(project, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("value", "expected"), [("true", True), ("1", True), ("", False), ("0", False), ("false", False)]
+    ("value", "expected"),
+    [("true", True), ("1", True), ("", False), ("0", False), ("false", False)],
 )
 def test_ci_is_set_unless_empty_or_negative(value, expected):
     assert is_ci({"CI": value}) is expected
@@ -67,7 +70,11 @@ SWITCHES = [option.name for option in EVERYWHERE if option.kind == "switch"]
 def text_of(option, switch):
     """Return a text for an option that makes it differ from the others; for switches, one is on."""
     number = EVERYWHERE.index(option)
-    texts = {"text": f"x{number}", "page": f"x{number}.html", "switch": str(option.name == switch).lower()}
+    texts = {
+        "text": f"x{number}",
+        "page": f"x{number}.html",
+        "switch": str(option.name == switch).lower(),
+    }
     return option.choices[-1] if option.choices else texts.get(option.kind, str(7 + number))
 
 
@@ -88,7 +95,8 @@ def given(found, names):
 
 def test_native_toml_takes_native_types(project):
     project.pytester.makefile(
-        ".toml", pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n"
+        ".toml",
+        pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n",
     )
     found = settings(project, "-c", "pytest.toml")
     assert (found.generations, found.max_time, found.strict_drift) == (3, 60.0, True)
@@ -116,7 +124,9 @@ def test_wrong_value_error_names_source_expected_and_received(project, source, p
 
 
 def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
-    with pytest.raises(RequestError, match=r"@pafot.search\(generations=...\): expected .* received -3"):
+    with pytest.raises(
+        RequestError, match=r"@pafot.search\(generations=...\): expected .* received -3"
+    ):
         settings(project, "--pafot-generations=5", marker={"generations": -3})
 
 
@@ -140,11 +150,15 @@ def test_wrong_command_line_value_is_a_usage_error(project, option, told):
 
 def test_wrong_value_elsewhere_fails_only_marked_items(project):
     project.pytester.makeini("[pytest]\npafot_algorithm = magic\n")
-    project.write("@pafot.search\ndef test_marked(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
+    project.write(
+        "@pafot.search\ndef test_marked(run):\n    pass\n\ndef test_ordinary():\n    pass\n"
+    )
     result = project.run()
     result.assert_outcomes(errors=1, passed=1)
     result.stdout.fnmatch_lines(
-        ["ini key pafot_algorithm: expected random, pafot, * or random-manoeuvre, received 'magic'*"]
+        [
+            "ini key pafot_algorithm: expected random, pafot, * or random-manoeuvre, received 'magic'*"
+        ]
     )
 
 
@@ -159,7 +173,9 @@ def test_help_has_a_sentence_on_one_line_for_every_option(project, monkeypatch):
     shown = project.run("--help", runs=None, seed=None).stdout.str()
     for option in OPTIONS:
         assert re.search(rf"^  {option.flag}\b.*\s+{re.escape(option.help)}$", shown, re.MULTILINE)
-        assert re.fullmatch(r"[A-Z][a-z]+ [^.]+(\.html[^.]+)?\.", option.help), "one sentence, which begins with a verb"
+        assert re.fullmatch(r"[A-Z][a-z]+ [^.]+(\.html[^.]+)?\.", option.help), (
+            "one sentence, which begins with a verb"
+        )
 
 
 SKIPPED = """

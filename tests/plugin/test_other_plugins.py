@@ -24,7 +24,9 @@ def test_counted(run):
 """
 
 
-@pytest.mark.parametrize("plugins", [["terminal"], ["cacheprovider", "capture", "junitxml", "logging"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "plugins", [["terminal"], ["cacheprovider", "capture", "junitxml", "logging"]], ids=" ".join
+)
 def test_findings_are_saved_without_some_builtin_plugins(failing, plugins):
     assert failing.run(*(f"-pno:{name}" for name in plugins)).ret == pytest.ExitCode.TESTS_FAILED
     assert len(failing.files) == 1
@@ -42,7 +44,10 @@ OTHERS = {
 def test_passing_search_without_cache_leaves_no_files(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     project.run("-p", "no:cacheprovider").assert_outcomes(passed=1)
-    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {"conftest.py", "test_it.py"}
+    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {
+        "conftest.py",
+        "test_it.py",
+    }
 
 
 @pytest.mark.parametrize("plugin", OTHERS)
@@ -54,7 +59,8 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         "--junitxml=junit.xml",
         "-rA",
         plugins=(plugin,),
-        apart=plugin in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
+        apart=plugin
+        in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
         runs=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
@@ -113,7 +119,10 @@ def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(proj
     before = (project.path / "runs.txt").read_text()
     result = project.run("--collect-only", "-q", "--pafot-json=pafot.json")
     result.stdout.fnmatch_lines(
-        ["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"]
+        [
+            "test_it.py::test_counted[[]search[]]",
+            f"test_it.py::test_counted[[]saved-{project.only_id}[]]",
+        ]
     )
     assert project.run("--setup-plan").ret == pytest.ExitCode.OK
     assert (project.path / "runs.txt").read_text() == before
@@ -122,7 +131,9 @@ def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(proj
 
 def test_another_plugin_may_deselect_what_is_no_item(project):
     more = "\ndef pytest_collection_modifyitems(config):\n    config.hook.pytest_deselected(items=[object()])\n"
-    project.pytester.makeconftest((project.path / "conftest.py").read_text() + more)  # as pytest-testmon does
+    project.pytester.makeconftest(
+        (project.path / "conftest.py").read_text() + more
+    )  # as pytest-testmon does
     project.write("@pafot.search(SHORT, runs=1)\ndef test_passes(run):\n    pass\n")
     project.run().assert_outcomes(passed=1, deselected=1)
 
@@ -170,10 +181,14 @@ def test_the_marks_select_and_deselect_under_strict_markers(failing):
 
 def test_other_plugins_randomness_changes_nothing(project, monkeypatch):
     pytest.importorskip("pytest_randomly")
-    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.scenario.id\n\ndef test_b():\n    pass\n")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.scenario.id\n\ndef test_b():\n    pass\n"
+    )
     project.run(runs=8)
     plain = project.contents
     project.forget()
-    monkeypatch.setattr("numpy.random.default_rng", None)  # no generator of this package comes from a replaced function
+    monkeypatch.setattr(
+        "numpy.random.default_rng", None
+    )  # no generator of this package comes from a replaced function
     project.run(runs=8, plugins=("randomly",))
     assert project.contents == plain

@@ -95,7 +95,9 @@ def test_what_is_no_world_of_the_package_is_refused_with_the_way_out(project, wo
     result.stdout.fnmatch_lines([f"*@pafot.search(world=...): {expected}, {told}*"])
 
 
-def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_others_are_replayed(project):
+def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_others_are_replayed(
+    project,
+):
     write(project, SIMULATOR, VERDICT=FAILS)
     project.run(runs=4)
     path = project.only_file
@@ -103,13 +105,17 @@ def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_othe
     old = path.with_name("old-000000.pafot.yaml")
     lines = path.read_text().splitlines(keepends=True)
     start = next(number for number, line in enumerate(lines) if line.startswith("world:"))
-    end = next(number for number in range(start + 1, len(lines)) if not lines[number].startswith(" "))
+    end = next(
+        number for number in range(start + 1, len(lines)) if not lines[number].startswith(" ")
+    )
     lines[start:end] = ["world: {kind: own, class: Ring, data: {lanes: 3}}\n"]
     old.write_text("".join(lines))
     result = project.run(runs=0)
     result.assert_outcomes(failed=2, skipped=1)
     expected = "expected a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
-    received = "received a simulator of the class Ring with its own rollout, which is no longer supported"
+    received = (
+        "received a simulator of the class Ring with its own rollout, which is no longer supported"
+    )
     result.stdout.fnmatch_lines(
         [f"*old-000000.pafot.yaml:*: world: {expected}, {received}. Derive a *, search again *"]
     )
@@ -133,7 +139,9 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
 def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
     result = saved_wrapped.run("--pafot-strict-drift", runs=0)
-    result.stdout.fnmatch_lines([f"*drifted*: world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"])
+    result.stdout.fnmatch_lines(
+        [f"*drifted*: world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"]
+    )
 
 
 def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
@@ -142,5 +150,10 @@ def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
     path.write_text(path.read_text().replace("highway-v0", "highway-fast-v0"))
     result = saved_wrapped.run(runs=0)
     result.stdout.fnmatch_lines(
-        ["*pafot.World('highway-v0') with FlattenObservation, *, received pafot.World('highway-fast-v0') with Flatten*"]
+        [
+            (
+                "*pafot.World('highway-v0') with FlattenObservation, *, received "
+                "pafot.World('highway-fast-v0') with Flatten*"
+            )
+        ]
     )

@@ -47,6 +47,13 @@ def test_run_is_reused_unless_perception_is_random(sight):
     def careful():
         return lambda observation: (0.0, 0.0)
 
-    common = {"world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1, "runs": 100, "seed": 9}
+    common = {
+        "world": pafot.Highway(duration=3.0),
+        "algorithm": "pafot",
+        "npcs": 1,
+        "genes": 1,
+        "runs": 100,
+        "seed": 9,
+    }
     found = pafot.explore(pafot.Perception(careful, **sight), holds=no_collision, **common)
     assert bool(found.summary.more_runs["known"]) is ("range" in sight)

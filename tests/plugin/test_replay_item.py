@@ -48,7 +48,9 @@ def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     saved.write(PASSES)
     result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passed"])
+    result.stdout.fnmatch_lines(
+        ["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passed"]
+    )
     assert saved.contents == before
 
 
@@ -88,7 +90,9 @@ def prepared():
 """
 
 
-@pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
+@pytest.mark.parametrize(
+    ("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")]
+)
 def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
     saved.accept()
     saved.write(f"{FAILS}\n{FIXTURE.replace('RAISE', raises)}")
@@ -120,18 +124,26 @@ def test_passing_replay_under_other_versions_has_drifted(saved):
     result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env * instead of 0.*"]
+        [
+            "*PASSED (drifted)*",
+            "replayed 1 saved scenario: 1 drifted",
+            "    highway-env * instead of 0.*",
+        ]
     )
     saved.run("--pafot-strict-drift", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_replay_without_incident_reports_how_long_it_lasted(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n")
+    project.write(
+        "@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n"
+    )
     project.run_once("--pafot-shrink-runs=0", runs=20)
     project.pytester.makeconftest(BRAKING)
     edited(project, "highway-env: ", "highway-env: 0.")
     result = project.run(runs=0)
-    result.stdout.fnmatch_lines(["    *safe for 10.0 s instead of collision at * s; highway-env * instead of 0.*"])
+    result.stdout.fnmatch_lines(
+        ["    *safe for 10.0 s instead of collision at * s; highway-env * instead of 0.*"]
+    )
 
 
 CUT_IN = """
@@ -166,7 +178,9 @@ def test_pass_without_its_situation_is_no_fix(project):
 
 
 def test_uneventful_runs_are_compared_by_most_critical_moment(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert run.collision\n")
+    project.write(
+        "@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert run.collision\n"
+    )
     project.run_once("--pafot-shrink-runs=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
@@ -183,7 +197,11 @@ def test_a_replay_uses_the_world_of_the_file(saved):
 
 
 def test_replay_whose_passing_run_is_cut_has_drifted(saved):
-    saved.write(FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace("'x'", "'safe'"))
+    saved.write(
+        FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace(
+            "'x'", "'safe'"
+        )
+    )
     result = saved.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration is 10.0 in the file, 0.4 now*"])
@@ -209,14 +227,26 @@ def test_invalid_world_or_scenario_fails_item_with_line(saved):
             "lanes: 40",
             "15: world.lanes: expected a whole number from 3 to 6, received 40. Correct *",
         ),
-        ("overspeed: 1.1", "overspeed: 2.0", "15: world.speed_limit: expected at most 20.0 m/s, because *"),
-        ("lane: 1, speed", "lane: 9, speed", "4: scenario.ego.lane: expected a lane from 0 to 3, received 9. *"),
+        (
+            "overspeed: 1.1",
+            "overspeed: 2.0",
+            "15: world.speed_limit: expected at most 20.0 m/s, because *",
+        ),
+        (
+            "lane: 1, speed",
+            "lane: 9, speed",
+            "4: scenario.ego.lane: expected a lane from 0 to 3, received 9. *",
+        ),
         (
             "cell: rear, speed: 0.0",
             "cell: rear, speed: 99.0",
             "7: scenario.npcs.NPC 0[[]0].speed: expected at most the *",
         ),
-        ("gene_seconds: 5.0", "gene_seconds: 5.01", "5: scenario.gene_seconds: expected a whole number of ticks *"),
+        (
+            "gene_seconds: 5.0",
+            "gene_seconds: 5.01",
+            "5: scenario.gene_seconds: expected a whole number of ticks *",
+        ),
     ]
     check_copies(saved, edits)
 
@@ -225,13 +255,21 @@ def test_environment_creation_failure_is_reported_with_line(project):
     project.write(GYM)
     project.run_once()
     edits = [
-        ("lanes_count: 3", "lanes_count: many", "25: world.config: expected a configuration that the environment *"),
+        (
+            "lanes_count: 3",
+            "lanes_count: many",
+            "25: world.config: expected a configuration that the environment *",
+        ),
         (
             "lanes_count: 3",
             "lanes_cound: 3",
             "25: world.config: expected options of highway-fast-v0, received lanes_c*",
         ),
-        ("highway-fast-v0", "highway-slow-v0", "24: world.env_id: expected a registered environment, received *"),
+        (
+            "highway-fast-v0",
+            "highway-slow-v0",
+            "24: world.env_id: expected a registered environment, received *",
+        ),
     ]
     check_copies(project, edits)
 
@@ -260,7 +298,11 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["*Flaky: running it again gave a different run*"])
     file = project.only_file
     file.write_text(re.sub(r"(?m)^rate: .*\n", "", file.read_text()))
-    project.write((project.path / "test_it.py").read_text().replace("if len(calls) % 2", "if len(calls) % 2 == 0"))
+    project.write(
+        (project.path / "test_it.py")
+        .read_text()
+        .replace("if len(calls) % 2", "if len(calls) % 2 == 0")
+    )
     result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
@@ -271,12 +313,22 @@ OTHER_WORLD = "run in the file's world, not the test's: world.lanes is 4 in the 
 
 def test_replay_says_that_the_test_names_another_world(saved):
     saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the file's world*")
-    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
+    saved.write(
+        FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), ")
+    )
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    assert f"Result of the replay: still failing ({OTHER_WORLD}" in " ".join(result.stdout.str().split())
-    assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
-    saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
+    assert f"Result of the replay: still failing ({OTHER_WORLD}" in " ".join(
+        result.stdout.str().split()
+    )
+    assert (
+        json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
+    )
+    saved.write(
+        PASSES.replace(
+            "@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "
+        )
+    )
     result = saved.run(runs=0)
     assert OTHER_WORLD in " ".join(result.stdout.str().split())
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
@@ -325,7 +377,9 @@ def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, pas
     by_chance(passes)
     accepted = project.run("--pafot-today=2027-01-31", "-rx", runs=0)
     accepted.assert_outcomes(xfailed=1, skipped=1)
-    assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (passes == PASSES_ALWAYS)
+    assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (
+        passes == PASSES_ALWAYS
+    )
     assert "Remove the line" not in accepted.stdout.str()
     over = project.run("--pafot-today=2027-02-01", runs=0)
     over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
@@ -369,12 +423,16 @@ def test_drives(run):
 """A search in a simulator in which a vehicle jumps from a tick on."""
 
 
-def test_replay_in_which_a_simulator_lets_a_vehicle_jump_fails_even_if_its_failure_is_accepted(project, monkeypatch):
+def test_replay_in_which_a_simulator_lets_a_vehicle_jump_fails_even_if_its_failure_is_accepted(
+    project, monkeypatch
+):
     project.pytester.makepyfile(test_it=SIMULATOR)
     monkeypatch.setenv("JUMPS_AT", "10000")
     project.run_once("--pafot-stop-after=1", runs=20)
     monkeypatch.setenv("JUMPS_AT", "20")
-    told = ["the replay cannot show whether the policy drives well: Toy.states, tick 20: NPC 0 moved *"]
+    told = [
+        "the replay cannot show whether the policy drives well: Toy.states, tick 20: NPC 0 moved *"
+    ]
     project.run(runs=0).stdout.fnmatch_lines(told)
     edited(project, "found: ", "xfail: {reason: known, until: 2999-12-31}\nfound: ")
     result = project.run(runs=0)

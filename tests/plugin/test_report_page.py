@@ -75,7 +75,9 @@ def test_page_counts_runs_of_new_and_known_findings(project, page):
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
     saved.accept()
     saved.run("--pafot-report=report.html", runs=0).assert_outcomes(xfailed=1, skipped=1)
-    assert [finding.label for finding in read_page(page)[1]] == ["accepted: planner issue 12, until 9999-12-31"]
+    assert [finding.label for finding in read_page(page)[1]] == [
+        "accepted: planner issue 12, until 9999-12-31"
+    ]
 
 
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
@@ -85,7 +87,9 @@ def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     assert failing.files == []
     _, (finding,), _ = read_page(page)
     assert finding.file == f"{finding.id}.pafot.yaml"
-    assert finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-runs=4 --pafot-seed=1"
+    assert (
+        finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-runs=4 --pafot-seed=1"
+    )
 
 
 def test_unobserved_crash_is_listed_without_a_picture(project, page):
@@ -102,7 +106,9 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     result = project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text, findings, (search,) = read_page(page)
-    assert {finding.id for finding in findings} == {name.split("/")[-1][:-11] for name in project.files}
+    assert {finding.id for finding in findings} == {
+        name.split("/")[-1][:-11] for name in project.files
+    }
     assert "runs 2 failed 2 " in search
     assert search.endswith("ended interrupted")
     assert "The session was interrupted. This report covers only what had run by then." in text
@@ -110,9 +116,17 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
 
 KEPT = "The property held in all evaluated runs."
 NOT_KEPT = {
-    "an ADS that fails at once": ("ads=lambda: lambda seen: None", "pass", "The search ended with an error."),
+    "an ADS that fails at once": (
+        "ads=lambda: lambda seen: None",
+        "pass",
+        "The search ended with an error.",
+    ),
     "a property that is misspelt": ("", "assert run.collided", "Did you mean `run.collision`?"),
-    "a fitness that is no number": ("fitness=lambda trace: 'x'", "pass", "The search ended with an error."),
+    "a fitness that is no number": (
+        "fitness=lambda trace: 'x'",
+        "pass",
+        "The search ended with an error.",
+    ),
     "a search that tests nothing": ("", "pafot.reject()", "the search tested too little"),
 }
 
@@ -120,9 +134,13 @@ NOT_KEPT = {
 def test_page_shows_errors_first_and_claims_no_success(project, page):
     tests = ["@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"]
     for number, (arguments, body, _) in enumerate(NOT_KEPT.values()):
-        tests.append(f"@pafot.search(SHORT, {arguments})\ndef test_drive_{number}(run):\n    {body}\n")
+        tests.append(
+            f"@pafot.search(SHORT, {arguments})\ndef test_drive_{number}(run):\n    {body}\n"
+        )
     lost = "@pytest.fixture\ndef lost():\n    raise OSError('no map')\n"
-    tests.append(f"{lost}\n@pafot.search(SHORT)\ndef test_drive_{len(NOT_KEPT)}(run, lost):\n    pass\n")
+    tests.append(
+        f"{lost}\n@pafot.search(SHORT)\ndef test_drive_{len(NOT_KEPT)}(run, lost):\n    pass\n"
+    )
     project.write("\n".join(tests))
     result = project.run("--pafot-report=report.html")
     result.assert_outcomes(passed=1, failed=len(NOT_KEPT), errors=1)
@@ -134,7 +152,9 @@ def test_page_shows_errors_first_and_claims_no_success(project, page):
     assert rest
     assert "test_passes" not in errors
     reasons = [*(told for _, _, told in NOT_KEPT.values()), "OSError: no map"]
-    for number, (error, told) in enumerate(zip(errors.split('<article class="error"'), reasons, strict=True)):
+    for number, (error, told) in enumerate(
+        zip(errors.split('<article class="error"'), reasons, strict=True)
+    ):
         assert f"test_it.py::test_drive_{number}[search]" in error
         assert told in error
     result.stdout.fnmatch_lines([f"report: report.html ({len(NOT_KEPT) + 1} errors, 0 findings)"])
@@ -167,19 +187,29 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
     project.write("def test_b():\n    pass\n")
     result = project.run("--pafot-report=report.html")
     assert not page.exists()
-    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: the page was not written, because*"])
+    result.stdout.fnmatch_lines(
+        ["*problem: --pafot-report=report.html: the page was not written, because*"]
+    )
 
 
 def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page, shrinking):
-    project.write("@pafot.search(SHORT, blame='ego')  # stop_after=1\ndef test_a(run):\n    assert not run.collision\n")
+    project.write(
+        "@pafot.search(SHORT, blame='ego')  # stop_after=1\ndef test_a(run):\n    assert not run.collision\n"
+    )
     project.run("--pafot-report=report.html", runs=24, seed=4)
     (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
     saved = load(project.path / finding.file)
     told = shrunk_lines(saved)
     assert told[0].startswith("from 2 NPCs")
     told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
-    assert all(html.escape(each) in read_page(page)[0] for each in [*told, sentence(saved.expect.takeover)])
-    ego, ghost, first = finding.data["vehicles"][0], finding.data["ghost"], finding.data["ghost"]["first"]
+    assert all(
+        html.escape(each) in read_page(page)[0] for each in [*told, sentence(saved.expect.takeover)]
+    )
+    ego, ghost, first = (
+        finding.data["vehicles"][0],
+        finding.data["ghost"],
+        finding.data["ghost"]["first"],
+    )
     begin = finding.data["event"]["time"] - saved.expect.takeover
     assert finding.data["times"][first - 1] < begin <= finding.data["times"][first] + 0.04
     assert len(ghost["along"]) == len(ego["along"]) - first

@@ -83,7 +83,9 @@ def killed_once():
     write(project, "killed_once()", killed_once + TEST)
     project.leave_behind(OWNER)
     assert project.run(apart=True).ret == -signal.SIGKILL
-    assert left_in_the_end(project, 2), "of the session before and of the process that ran its scenario again"
+    assert left_in_the_end(project, 2), (
+        "of the session before and of the process that ran its scenario again"
+    )
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     assert (project.files, project.records) == ([], [])
 
@@ -140,7 +142,9 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
     result.assert_outcomes(failed=2)
     how = "ended with exit code 9" if "exit" in end else "was ended by SIGKILL"
     result.stdout.fnmatch_lines(
-        [f"*died while it ran this scenario, and the process that ran it again {how}: the likely cause*"]
+        [
+            f"*died while it ran this scenario, and the process that ran it again {how}: the likely cause*"
+        ]
     )
     finding = load(project.only_file)
     assert finding.id.startswith("crash-")
@@ -154,7 +158,9 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
 def test_inconclusive_retry_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)
-    replayed(project).stdout.fnmatch_lines(["*If something else killed the process, delete the file*"])
+    replayed(project).stdout.fnmatch_lines(
+        ["*If something else killed the process, delete the file*"]
+    )
     assert project.only_id.startswith("crash-")
 
 
@@ -175,4 +181,6 @@ def test_retry_uses_the_world_of_the_record(project):
     project.leave_behind(OWNER, world=Highway(duration=5.0).to_dict())
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     project.leave_behind(OWNER, world=Highway(duration=10.0).to_dict())
-    replayed(project).stdout.fnmatch_lines(["*the process that ran it again ended with exit code 9*"])
+    replayed(project).stdout.fnmatch_lines(
+        ["*the process that ran it again ended with exit code 9*"]
+    )

@@ -54,7 +54,9 @@ def python(*arguments):
 @pytest.mark.processes
 def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
     set_keys(monkeypatch, shrink_runs=None)
-    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
+    code, told = python(
+        "pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q"
+    )
     assert code == 1
     assert "leader-unanswered" in told
     assert (here / "pafot.html").exists()
@@ -62,9 +64,14 @@ def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
     again = "search a_planner:Planner --runs 4 --seed 2 --write-test, and commit"
     assert last.startswith(f"to keep this as a test, run python -m pytest_pafot {again}")
 
-    assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
+    assert (
+        command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
+    )
     assert {"a_planner.py", "test_safety.py"} <= {path.name for path in here.iterdir()}
-    assert '@pafot.search(ads="a_planner:Planner", blame="ego")' in (here / "test_safety.py").read_text()
+    assert (
+        '@pafot.search(ads="a_planner:Planner", blame="ego")'
+        in (here / "test_safety.py").read_text()
+    )
 
 
 WORLDS = """\
@@ -103,7 +110,15 @@ def road():
 ])  # fmt: skip
 def test_search_command_drives_in_a_world_of_the_user(here, policy, world, argument):
     (here / "worlds.py").write_text(WORLDS)
-    given = ["pytest_pafot", "search", policy, "--world", world, "--blame=any", "--check=a_planner:keeps_moving"]
+    given = [
+        "pytest_pafot",
+        "search",
+        policy,
+        "--world",
+        world,
+        "--blame=any",
+        "--check=a_planner:keeps_moving",
+    ]
     code, told = python(*given, "--runs", "4", "--seed", "2", "--", "-q")
     assert (code, "(new)." in told) == (1, True), told
     assert python(*given, "--write-test")[0] == 0
@@ -126,9 +141,13 @@ def test_search_command_uses_the_requested_world_and_check(here):
         "def test_keeps_moving(run):\n    return holds(run)\n"
     ) in test
     (here / "test_safety.py").unlink()
-    assert command_in_a_copy("pytest_pafot", "search", "a_planner:make:fast", "--write-test").code == 0
+    assert (
+        command_in_a_copy("pytest_pafot", "search", "a_planner:make:fast", "--write-test").code == 0
+    )
     assert 'ads="a_planner:make:fast"' in (here / "test_safety.py").read_text()
-    code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
+    code, told = python(
+        "pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0"
+    )
     assert code == 0, told
 
 
@@ -168,7 +187,9 @@ pafot = TestCheck = test_ = test_no_crash
 def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
     (here / "odd.py").write_text(NAMES, encoding="utf-8")
     given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-runs=0", "--", "-q"]
-    code, told = python("pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given)
+    code, told = python(
+        "pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given
+    )
     assert (code, "4 runs" in told, "(new" in told) == (1, True, True), told
     assert len([*(here / "pafot_found" / "test_safety").iterdir()]) == 1
 
@@ -187,7 +208,11 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     assert [*here.glob("pafot_corpus/test_mine/test_it/*")]
     monkeypatch.setenv("CI", "1")
     _, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "1", "--seed", "0")
-    assert (re.search(r"\b1 run[, ]", told) is not None, "without a test" in told, " error" in told) == (
+    assert (
+        re.search(r"\b1 run[, ]", told) is not None,
+        "without a test" in told,
+        " error" in told,
+    ) == (
         True,
         *2 * [False],
     ), told
@@ -254,7 +279,17 @@ def wait_for_a_finding(search):
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
-    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest_pafot",
+        "search",
+        "a_planner:Planner",
+        "--runs",
+        "100000",
+        "--seed",
+        "2",
+    ]
     with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
         wait_for_a_finding(search)
         os.killpg(search.pid, signal.SIGINT)
@@ -262,21 +297,40 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     assert search.returncode == 130
     assert error == "\nsearch: interrupted\n"
     assert ", because it was interrupted." in " ".join(rest.split())
-    assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes while the finding is drawn
+    assert (
+        "report: pafot.html (1 " in rest
+    )  # an error, if the interrupt comes while the finding is drawn
     assert (here / "pafot.html").exists()
 
 
 @pytest.mark.processes
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a session does not learn that its parent was killed")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="elsewhere a session does not learn that its parent was killed"
+)
 def test_session_of_a_search_that_is_killed_ends(here):
-    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest_pafot",
+        "search",
+        "a_planner:Planner",
+        "--runs",
+        "100000",
+        "--seed",
+        "2",
+    ]
     with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
         wait_for_a_finding(search)
         children = Path(f"/proc/{search.pid}/task/{search.pid}/children").read_text().split()
         os.kill(int(children[0]), signal.SIGKILL)
-        _, error = search.communicate(timeout=60)  # It also waits for the session, which has the same output.
+        _, error = search.communicate(
+            timeout=60
+        )  # It also waits for the session, which has the same output.
     assert search.returncode == 128 + signal.SIGKILL
-    assert "search: expected the process with the policy to finish the command, received the signal SIGKILL" in error
+    assert (
+        "search: expected the process with the policy to finish the command, received the signal SIGKILL"
+        in error
+    )
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
@@ -304,11 +358,16 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
 def test_search_that_is_to_search_nothing_is_refused(here):
     result = command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--pafot-runs=0")
     assert result.code == 2
-    assert "search: expected at least 1 run, received 0. Remove --runs or --pafot-generations" in result.err
+    assert (
+        "search: expected at least 1 run, received 0. Remove --runs or --pafot-generations"
+        in result.err
+    )
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("check", ["def wrong(run): return True", "async def wrong(run): assert False"])
+@pytest.mark.parametrize(
+    "check", ["def wrong(run): return True", "async def wrong(run): assert False"]
+)
 def test_a_check_that_asserts_nothing_does_not_pass(here, check):
     (here / "checks.py").write_text(f"{check}\n")
     given = ["a_planner:Planner", "--check", "checks:wrong", "--runs", "20", "--seed", "2"]

@@ -18,7 +18,9 @@ def test_search_fails_reports_its_finding_by_replay_id_and_saves_it_near_its_tes
         f"  {failing.only_id}: 1 run (new).",
         f"FAILED *: 1 new failure in 1 run: {failing.only_id}",
     ])  # fmt: skip
-    assert re.fullmatch(r"pafot_corpus/test_it/test_fails/[a-z0-9-]+\.pafot\.yaml", failing.files[0])
+    assert re.fullmatch(
+        r"pafot_corpus/test_it/test_fails/[a-z0-9-]+\.pafot\.yaml", failing.files[0]
+    )
     assert "test: test_it.py::test_fails\n" in failing.only_file.read_text()
 
 
@@ -32,7 +34,11 @@ def test_collides(run):
 
 def announced(result):
     """Return the lines on findings that were written before the result of their search."""
-    return [line for line in result.stdout.str().partition("= FAILURES =")[0].splitlines() if "found" in line]
+    return [
+        line
+        for line in result.stdout.str().partition("= FAILURES =")[0].splitlines()
+        if "found" in line
+    ]
 
 
 @pytest.mark.parametrize("args", [(), ("-n1",)], ids=["alone", "behind the dots of a worker"])
@@ -44,7 +50,9 @@ def test_findings_are_told_at_once_in_a_line_each(project, monkeypatch, args):
     result = project.run_once(*args, "--pafot-shrink-runs=0", runs=40, seed=2)
     names = [name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files]
     kinds = {"gap": "a failed check", "lea": "a collision", "cut": "a collision"}
-    told = [f"pafot: found {kinds[id_[:3]]}: test_it.py::test_collides[saved-{id_}]" for id_ in names]
+    told = [
+        f"pafot: found {kinds[id_[:3]]}: test_it.py::test_collides[saved-{id_}]" for id_ in names
+    ]
     assert sorted(announced(result)) == sorted(told)
     assert len(told) > 1
     project.forget()
@@ -52,7 +60,9 @@ def test_findings_are_told_at_once_in_a_line_each(project, monkeypatch, args):
 
 
 def test_block_on_a_collision_has_the_sentences_of_its_verdict(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
+    project.write(
+        "@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n"
+    )
     result = project.run_once("--pafot-shrink-runs=0", "--pafot-json=out.json", runs=40, seed=2)
     (its,) = json.loads((project.path / "out.json").read_text())["findings"]
     headline = f"{its['headline'].partition(';')[0]}."
@@ -67,7 +77,9 @@ def test_search_without_findings_passes_with_a_summary_in_ascii(project, monkeyp
     result = project.run(runs=8)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*: none of 8 random scenarios failed: *"])
-    (begin,) = [number for number, line in enumerate(result.outlines) if line.strip("= ") == "pafot"]
+    (begin,) = [
+        number for number, line in enumerate(result.outlines) if line.strip("= ") == "pafot"
+    ]
     told = result.outlines[begin:]
     assert len(told) <= 10  # eight of the search, and one before and after it
     assert all(line.isascii() and len(line) <= 80 for line in told)
@@ -102,13 +114,17 @@ def test_central_corpus_mirrors_the_folders_of_tests(failing):
     (failing.path / "test_it.py").rename(failing.path / "sub" / "test_it.py")
     failing.run(f"--pafot-corpus={failing.path / 'all'}")
     assert failing.files[0].startswith("all/sub/test_it/test_fails/")
-    failing.run(f"--pafot-corpus={failing.path / 'all'}", runs=0).assert_outcomes(failed=1, skipped=1)
+    failing.run(f"--pafot-corpus={failing.path / 'all'}", runs=0).assert_outcomes(
+        failed=1, skipped=1
+    )
 
 
 def test_commands_name_the_folder_of_the_command_line(failing):
     option = f"--pafot-corpus={failing.path / 'all'}"
     result = failing.run(option)
-    result.stdout.fnmatch_lines([f"replay pytest {option} *.pafot.yaml", f"pytest {option} --pafot-runs=0 replays *"])
+    result.stdout.fnmatch_lines(
+        [f"replay pytest {option} *.pafot.yaml", f"pytest {option} --pafot-runs=0 replays *"]
+    )
     command = next(line for line in result.outlines if line.startswith("replay pytest")).split()[2:]
     failing.pytester.runpytest("-p", "pafot", *command).assert_outcomes(failed=1)
     failing.only_file.write_text("pafot: 3\n")  # unreadable

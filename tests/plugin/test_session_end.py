@@ -61,7 +61,10 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)
-    assert "problem: test_it.py::test_fails[search]: the findings were not reported: ZeroDivisionError: " in text
+    assert (
+        "problem: test_it.py::test_fails[search]: the findings were not reported: ZeroDivisionError: "
+        in text
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
@@ -97,7 +100,9 @@ def leak():
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("step", ["plugin.search_item.exception_for_pytest", "searches.store.relative"])
+@pytest.mark.parametrize(
+    "step", ["plugin.search_item.exception_for_pytest", "searches.store.relative"]
+)
 def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypatch, step, number):
     """The first step reports the finding to pytest, the second follows the writing of its file."""
     module, _, name = f"pytest_pafot.{step}".rpartition(".")
@@ -117,7 +122,9 @@ def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypa
     assert found["id"] in (project.path / "x.html").read_text()
 
 
-def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation(project, monkeypatch):
+def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation(
+    project, monkeypatch
+):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
@@ -168,7 +175,10 @@ def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypa
     project.write(f"{EXITS}\n@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run(*arguments)
     assert result.ret == 2
-    assert "problem: 2 items did not finish (first: test_it.py::test_in_fixture[search])" in text_of(result)
+    assert (
+        "problem: 2 items did not finish (first: test_it.py::test_in_fixture[search])"
+        in text_of(result)
+    )
 
 
 ALWAYS = """
@@ -202,7 +212,9 @@ def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
     project.run("--pafot-shrink-runs=0").assert_outcomes(failed=2)
     result = project.run("--pafot-runs=0")
     result.assert_outcomes(failed=1, skipped=1)
-    assert "a pytest_runtest_makereport hook hid this failure. To accept it, use xfail" in text_of(result)
+    assert "a pytest_runtest_makereport hook hid this failure. To accept it, use xfail" in text_of(
+        result
+    )
 
 
 @pytest.mark.parametrize(("ci", "code"), [("", 0), ("true", 1)])
@@ -212,7 +224,9 @@ def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monk
     project.write(ALWAYS)
     result = project.run("--pafot-shrink-runs=0")
     assert result.ret == code
-    assert ("problem: 2 items failed (first: test_it.py::test_fails[s" in text_of(result)) is bool(code)
+    assert ("problem: 2 items failed (first: test_it.py::test_fails[s" in text_of(result)) is bool(
+        code
+    )
 
 
 def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, monkeypatch):
@@ -222,7 +236,9 @@ def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, m
     assert project.run().ret == 0
 
 
-@pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
+@pytest.mark.parametrize(
+    ("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)]
+)
 def test_a_day_that_is_over_is_told(day, is_told):
     assert bool(stale_day(day, date(2026, 10, 31))) is is_told
 
@@ -259,7 +275,14 @@ def test_it(run):
 ], ids=["_exit", "exec", "abort", "import", "thread", "late_thread"])  # fmt: skip
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 def test_no_session_passes_that_a_policy_ends(project, changes, code):
-    plain = {"imported": "", "daemon": True, "ends": "0.0, 0.0", "late": "pass", "runs": 1, "holds": "run"}
+    plain = {
+        "imported": "",
+        "daemon": True,
+        "ends": "0.0, 0.0",
+        "late": "pass",
+        "runs": 1,
+        "holds": "run",
+    }
     project.write(EXITING.format(**{**plain, **changes}))
     result = project.run("--pafot-shrink-runs=0", fresh=True)
     assert result.ret == code
@@ -270,7 +293,11 @@ def test_no_session_passes_that_a_policy_ends(project, changes, code):
 @pytest.mark.parametrize("late", ["time.sleep(60)", "while True: pass"])
 def test_interrupted_session_waits_for_no_thread_of_a_policy(project, late):
     interrupt = "os.kill(os.getpid(), 2)"
-    project.write(EXITING.format(imported="", daemon=False, ends="0.0, 0.0", late=late, runs=1000, holds=interrupt))
+    project.write(
+        EXITING.format(
+            imported="", daemon=False, ends="0.0, 0.0", late=late, runs=1000, holds=interrupt
+        )
+    )
     begin = time.monotonic()
     result = project.run("--junitxml=x.xml", fresh=True)
     assert (result.ret, (project.path / "x.xml").exists()) == (2, True)

@@ -59,7 +59,10 @@ def recorded(project, *args, **options):
 def properties(project):
     """Return the properties of each test case in JUnit's file, by name."""
     cases = ElementTree.parse(project.path / "junit.xml").getroot().iter("testcase")
-    return {case.get("name"): {each.get("name"): each.get("value") for each in case.iter("property")} for case in cases}
+    return {
+        case.get("name"): {each.get("name"): each.get("value") for each in case.iter("property")}
+        for case in cases
+    }
 
 
 def test_a_search_and_its_find_are_recorded(failing):
@@ -67,10 +70,18 @@ def test_a_search_and_its_find_are_recorded(failing):
     (search,), (find,) = record.searches, record.findings
     saved = load(failing.only_file)
     assert (record.exit, record.problems) == (pytest.ExitCode.TESTS_FAILED, [])
-    assert (search.node_id, search.result, search.finds) == ("test_it.py::test_fails[search]", "failed", [saved.id])
+    assert (search.node_id, search.result, search.finds) == (
+        "test_it.py::test_fails[search]",
+        "failed",
+        [saved.id],
+    )
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
     assert search.message == f"1 new failure in {search.runs} run: {find.id}"
-    assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
+    assert (find.node_id, find.status, find.result) == (
+        f"test_it.py::test_fails[saved-{saved.id}]",
+        "new",
+        "failed",
+    )
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.told, saved.expect.responsibility)
     assert find.runs == search.failing > 0
@@ -92,7 +103,9 @@ def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
 
 def test_expired_xfail_is_recorded_with_a_warning(saved):
     saved.accept(until="2027-01-31")
-    records = [recorded(saved, f"--pafot-today={day}", runs=0) for day in ("2027-01-31", "2027-02-01")]
+    records = [
+        recorded(saved, f"--pafot-today={day}", runs=0) for day in ("2027-01-31", "2027-02-01")
+    ]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
     accepted = {"reason": "planner issue 12", "until": "2027-01-31"}
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
@@ -106,7 +119,12 @@ def test_unreadable_file_is_recorded_with_the_reason(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")
     (find,) = recorded(saved, runs=0).findings
-    assert (find.id, find.file, find.status, find.result) == (saved.only_id, name, "error", "failed")
+    assert (find.id, find.file, find.status, find.result) == (
+        saved.only_id,
+        name,
+        "error",
+        "failed",
+    )
     assert "expected format version" in find.detail
 
 
@@ -118,8 +136,12 @@ def test_search_that_cannot_start_is_recorded_with_reason(project):
 
 
 @pytest.mark.parametrize(("quick", "count"), [(1e12, 2), (-1.0, 0)], ids=["quick", "slow"])
-def test_findings_are_recorded_during_the_session_unless_writing_takes_long(project, monkeypatch, quick, count):
-    monkeypatch.setattr(reporter, "QUICK", quick)  # so it takes long or not, however busy the machine is
+def test_findings_are_recorded_during_the_session_unless_writing_takes_long(
+    project, monkeypatch, quick, count
+):
+    monkeypatch.setattr(
+        reporter, "QUICK", quick
+    )  # so it takes long or not, however busy the machine is
     monkeypatch.setattr(reporter, "REST", 1e12)
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
@@ -157,7 +179,13 @@ def test_lost_process_is_recorded_alike(project):
     project.write(ABORTS)
     texts = []
     for _ in range(2):
-        project.run("--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", runs=None)
+        project.run(
+            "--pafot-json=pafot.json",
+            "--pafot-isolate",
+            "--pafot-save=none",
+            "--pafot-runs=2",
+            runs=None,
+        )
         texts.append((project.path / "pafot.json").read_text())
     assert texts[0] == texts[1]
     assert json.loads(texts[0])["findings"]
@@ -167,7 +195,11 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
     failing.run("--junitxml=junit.xml")
     find = load(failing.only_file)
     search, found = properties(failing).values()
-    told = {"pafot_id": find.id, "pafot_signature": find.signature.text, "pafot_file": failing.files[0]}
+    told = {
+        "pafot_id": find.id,
+        "pafot_signature": find.signature.text,
+        "pafot_file": failing.files[0],
+    }
     told["pafot_severity"] = "none"  # an assertion about the run's length has no severity
     assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
     failing.run("--junitxml=junit.xml", runs=0)
@@ -183,7 +215,9 @@ def test_junit_names_all_findings_and_unreadable_files(project):
     assert len(project.files) == len(search["pafot_id"].split(", ")) == 3
     (project.path / project.files[0]).write_text("pafot: 99\n")
     project.run("--junitxml=junit.xml", runs=0)
-    named = [each for each in properties(project).values() if each.get("pafot_file") == project.files[0]]
+    named = [
+        each for each in properties(project).values() if each.get("pafot_file") == project.files[0]
+    ]
     assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
 
 
@@ -216,12 +250,20 @@ def test_it(run, record_property, record_testsuite_property, record_xml_attribut
 def test_properties_of_a_marked_test_are_those_of_one_run(project):
     pytest_warnings = "-Wignore::pytest.PytestExperimentalApiWarning"
     project.write(RECORDING)
-    arguments = ("--junitxml=junit.xml", pytest_warnings, "-ojunit_family=xunit1", "--pafot-stop-after=1")
+    arguments = (
+        "--junitxml=junit.xml",
+        pytest_warnings,
+        "-ojunit_family=xunit1",
+        "--pafot-stop-after=1",
+    )
     project.run(*arguments)
 
     def recorded():
         root = ElementTree.parse(project.path / "junit.xml").getroot()
-        suite = [(each.get("name"), each.get("value")) for each in root.findall("testsuite/properties/property")]
+        suite = [
+            (each.get("name"), each.get("value"))
+            for each in root.findall("testsuite/properties/property")
+        ]
         assert suite == [("suite", "S-1")]
         return {
             case.get("name"): [
@@ -233,7 +275,12 @@ def test_properties_of_a_marked_test_are_those_of_one_run(project):
         }
 
     saved = load(project.only_file)
-    one = [("requirement", "REQ-001"), ("requirement", "REQ-001"), ("speed", "22.0"), ("speed", "22.0")]
+    one = [
+        ("requirement", "REQ-001"),
+        ("requirement", "REQ-001"),
+        ("speed", "22.0"),
+        ("speed", "22.0"),
+    ]
     names = ["test_it[search]", f"test_it[saved-{saved.id}]"]
     assert recorded() == dict.fromkeys(names, one)
     project.run(*arguments, runs=0)
@@ -245,7 +292,9 @@ def test_folder_in_place_of_record_file_is_named(failing):
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")
     told = "Rename or delete the folder that has this name, or name another file"
-    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: the file was not written: *. {told}"])
+    result.stdout.fnmatch_lines(
+        [f"  problem: --pafot-json=taken: the file was not written: *. {told}"]
+    )
 
 
 @pytest.fixture
@@ -263,7 +312,9 @@ def test_the_summary_of_a_job_is_appended_to(summary, failing):
     assert f"<br>`python -m pytest {failing.files[0]}`\n" in summary.read_text()
 
 
-def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summary, project, monkeypatch):
+def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(
+    summary, project, monkeypatch
+):
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     project.write(
         "@pytest.mark.parametrize('n', range(6))\n@pafot.search(SHORT)  # stop_after=1\ndef test_a(run, n):\n"
@@ -277,12 +328,17 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     lines = [line for line in result.outlines if line.startswith("::")]
     assert len(lines) == 6
     for line in lines[:5]:
-        command, text = re.fullmatch(r"::error file=test_50%25%2Cx\.py,title=[a-z0-9-]+::(.*?)%0A(.*)", line).groups()
+        command, text = re.fullmatch(
+            r"::error file=test_50%25%2Cx\.py,title=[a-z0-9-]+::(.*?)%0A(.*)", line
+        ).groups()
         assert command.startswith("The ego hit NPC ")
         assert text.count("%0A") >= 1  # the sentences
         assert text.replace("%0A", "").replace("%25", "").count("%") == 0
         assert "responsible" in text
-    assert lines[5] == "::notice title=pafot::2 more findings: see out.html among the files of this job"
+    assert (
+        lines[5]
+        == "::notice title=pafot::2 more findings: see out.html among the files of this job"
+    )
     told = summary.read_text()
     assert told.count("\n- `test_50%,x.py::test_") == 5
     assert "- ... and 2 more: see `out.html` among the files of this job" in told
@@ -291,7 +347,10 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     result = project.run("-k", "test_b")
     (line,) = [line for line in result.outlines if line.startswith("::")]
     assert re.search(r"::The policy failed after \d\.\d s: ValueError: 50 %25 done", line)
-    assert not any(each.startswith("::warning") for each in [*result.outlines, *summary.read_text().splitlines()])
+    assert not any(
+        each.startswith("::warning")
+        for each in [*result.outlines, *summary.read_text().splitlines()]
+    )
 
 
 def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypatch):
@@ -303,7 +362,9 @@ def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypat
 
 
 def test_second_interrupt_leaves_the_code_of_the_first():
-    session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)  # pytest has not noted the first Ctrl-C yet
+    session = SimpleNamespace(
+        exitstatus=pytest.ExitCode.OK
+    )  # pytest has not noted the first Ctrl-C yet
     assert exit_code(session) == 0
     try:
         raise KeyboardInterrupt

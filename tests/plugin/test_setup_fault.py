@@ -37,7 +37,11 @@ def misspelt(arguments=""):
 class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
     def test_misspelt_run_attribute_is_one_error_with_suggestion(self, project):
         each = ["", "blame='ego'", "algorithm='pafot'"]
-        project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
+        project.write(
+            "".join(
+                misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))
+            )
+        )
         result = project.run(runs=12)
         result.assert_outcomes(failed=len(each))
         for n in range(len(each)):
@@ -55,10 +59,14 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         assert project.files == []
         assert not (project.path / "pafot_corpus").exists()
 
-    @pytest.mark.parametrize("option", ["-x", "--pafot-save=none", pytest.param("-n1", marks=pytest.mark.processes)])
+    @pytest.mark.parametrize(
+        "option", ["-x", "--pafot-save=none", pytest.param("-n1", marks=pytest.mark.processes)]
+    )
     def test_whatever_the_session_does_with_failures(self, project, option):
         project.write(misspelt() + "\ndef test_other():\n    pass\n")
-        project.run(option).stdout.fnmatch_lines(["E*AttributeError: *Did you mean `run.collision`?", "*1 failed*"])
+        project.run(option).stdout.fnmatch_lines(
+            ["E*AttributeError: *Did you mean `run.collision`?", "*1 failed*"]
+        )
         assert project.files == []
 
     def test_failing_first_decision_is_one_error_without_file(self, project):
@@ -68,7 +76,10 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
             "return None": "the ADS failed: BadAction: expected (acceleration *received None*",
         }
         for n, broken in enumerate(told):
-            project.write(BROKEN.replace("BROKEN", broken).replace("test_drive", f"test_{n}"), name=f"test_it{n}")
+            project.write(
+                BROKEN.replace("BROKEN", broken).replace("test_drive", f"test_{n}"),
+                name=f"test_it{n}",
+            )
         result = project.run(runs=12)
         result.assert_outcomes(failed=len(told))
         for n, line in enumerate(told.values()):
@@ -104,7 +115,9 @@ class TestNothingThatWasFoundIsLost:
     def test_different_ending_in_first_generation_saves_a_finding(self, project, later):
         self.write(project, later)
         project.run().stdout.fnmatch_lines(["*pafot: found*", "*[[]search[]]: * failed*"])
-        assert {load(project.path / name).expect.failure for name in project.files} == {"ValueError"}
+        assert {load(project.path / name).expect.failure for name in project.files} == {
+            "ValueError"
+        }
 
     @pytest.mark.parametrize(("later", "options", "told"), [
         ("raise KeyboardInterrupt", {"no_reraise_ctrlc": True}, ["*found*", "*ended early*it was interrupted."]),
@@ -179,7 +192,8 @@ def test_drive_NUMBER(run):
 """
 
 CONFIG = (
-    "A policy needs the config= and the wrappers= with which it was trained. A planner in SI units needs pafot.Highway"
+    "A policy needs the config= and the wrappers= with which it was trained. A "
+    "planner in SI units needs pafot.Highway"
 )
 NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh ADS: `lambda: MyPlanner()`"
 
@@ -189,10 +203,19 @@ PREDICT = (
 )
 
 MESSAGES = {
-    "Planner": ["expected only keyword arguments", "Write the argument's name, as in @pafot.search(ads=Planner)"],
-    "Planner()": ["expected only keyword arguments", "Write the argument's name, as in @pafot.search(ads=...)"],
+    "Planner": [
+        "expected only keyword arguments",
+        "Write the argument's name, as in @pafot.search(ads=Planner)",
+    ],
+    "Planner()": [
+        "expected only keyword arguments",
+        "Write the argument's name, as in @pafot.search(ads=...)",
+    ],
     "model.predict": ["Write the argument's name, as in @pafot.search(ads=predict)"],
-    "ads=Planner()": ["that can be called without arguments, received one with * (observation)", NO_FACTORY],
+    "ads=Planner()": [
+        "that can be called without arguments, received one with * (observation)",
+        NO_FACTORY,
+    ],
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=keep": [
         "with the signature (observation) ",
@@ -201,17 +224,24 @@ MESSAGES = {
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "Write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing?"],
     "ads=lambda: model": [PREDICT],
-    "ads=model": ["expected the name of a fixture or a factory such as `lambda: MyPlanner()`", PREDICT],
+    "ads=model": [
+        "expected the name of a fixture or a factory such as `lambda: MyPlanner()`",
+        PREDICT,
+    ],
     "ads='trained'": ["expected the fixture 'trained' to return a factory", PREDICT],
     "ads='model.zip'": [
         "received 'model.zip'. Load a model in the factory, as in `ads=lambda: MyPlanner('model.zip')`"
     ],
-    "ads=Vehicle(None, [0, 0])": ["received Vehicle #*. Pass the class itself, `Vehicle`, without calling it"],
+    "ads=Vehicle(None, [0, 0])": [
+        "received Vehicle #*. Pass the class itself, `Vehicle`, without calling it"
+    ],
     "ads=lambda: Vehicle()": [
         "TypeError: *'road' and 'position'",
         "pass its class without calling it, as in `ads=MyVehicle`",
     ],
-    "ads=Configured": ["Wrap the call in a function that passes the arguments, such as `lambda: Configured(...)`"],
+    "ads=Configured": [
+        "Wrap the call in a function that passes the arguments, such as `lambda: Configured(...)`"
+    ],
     "world=five, ads=lambda: model.predict": [
         "received (np.int64(1), None); (action, state) is what `model.predict` returns: use "
         "`model.predict(observation, deterministic=True)[0]`"
@@ -225,7 +255,9 @@ MESSAGES = {
         "was given a pafot.Observation (time, ego, *.array of shape (*, 7))",
         "needs world=pafot.World('highway-v0'",
     ],
-    "ads=lambda: lambda seen: 1": ["received 1; policies of a highway-env environment need world=pafot.World("],
+    "ads=lambda: lambda seen: 1": [
+        "received 1; policies of a highway-env environment need world=pafot.World("
+    ],
     "world=five, ads=Planner": [
         "received (0.0, 0.0); planners in SI units drive without world=, or in a pafot.World(*"
     ],
@@ -233,12 +265,18 @@ MESSAGES = {
         "no attribute 'ego'",
         "A planner in SI units needs pafot.Highway",
     ],
-    "world=five, ads=lambda: lambda seen: np.zeros(5)": ["return the number of the largest: `int(np.argmax(...))`"],
+    "world=five, ads=lambda: lambda seen: np.zeros(5)": [
+        "return the number of the largest: `int(np.argmax(...))`"
+    ],
     "world=five, ads=lambda: lambda seen: 1.0": ["received 1.0; return `int(...)` of it"],
     "world=five, ads=lambda: lambda seen: None": ["received None; is a `return` missing?"],
-    "world=five, ads=lambda: lambda seen: [[1], [2, 3]]": ["expected a whole number from 0 to 4, received [[1], *"],
+    "world=five, ads=lambda: lambda seen: [[1], [2, 3]]": [
+        "expected a whole number from 0 to 4, received [[1], *"
+    ],
     "world=steering, ads=lambda: lambda seen: np.zeros((1, 2))": ["use its first row, `action[0]`"],
-    "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
+    "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": [
+        "return the two values as a tuple"
+    ],
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": [
         "expected a registered environment, received 'highway-v9'. Did you mean 'highway-v0'? highway-env's straight *"
@@ -260,19 +298,26 @@ MESSAGES = {
     "world=gymnasium.make('CartPole-v1')": [
         ". Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
     ],
-    "worlds=five": ["(worlds=...): expected one of ads, against, *, received 'worlds'. Did you mean 'world'?"],
+    "worlds=five": [
+        "(worlds=...): expected one of ads, against, *, received 'worlds'. Did you mean 'world'?"
+    ],
 }
 
 
 def test_newcomer_errors_explain_what_to_write(project):
-    tests = [NEWCOMER.replace("ARGUMENTS", given).replace("NUMBER", str(n)) for n, given in enumerate(MESSAGES)]
+    tests = [
+        NEWCOMER.replace("ARGUMENTS", given).replace("NUMBER", str(n))
+        for n, given in enumerate(MESSAGES)
+    ]
     project.write(NEWCOMERS + "".join(tests))
     result = project.run("-W", "error")
     missing = {}
     for n, given in enumerate(MESSAGES):
         shown = " ".join(section(result, f"test_drive_{n}").split()).replace('"', "'")
         patterns = {text: text.replace("[", "[[]").replace('"', "'") for text in MESSAGES[given]}
-        missing[given] = [text for text, each in patterns.items() if not fnmatch.fnmatchcase(shown, f"*{each}*")]
+        missing[given] = [
+            text for text, each in patterns.items() if not fnmatch.fnmatchcase(shown, f"*{each}*")
+        ]
     assert {given: texts for given, texts in missing.items() if texts} == {}
     outcomes = result.parseoutcomes()
     assert outcomes["failed"] + outcomes["errors"] == len(MESSAGES)
@@ -281,12 +326,18 @@ def test_newcomer_errors_explain_what_to_write(project):
 
 
 def test_first_generation_error_counts_only_judged_runs():
-    broken = Verdict(kind="failed", exception=KeyError("x"), failure=Failure(kind="KeyError", assertion="run['x']"))
+    broken = Verdict(
+        kind="failed",
+        exception=KeyError("x"),
+        failure=Failure(kind="KeyError", assertion="run['x']"),
+    )
     run = object()  # of a run in which the function failed, nothing is read
     bench = SimpleNamespace(run=lambda scenario: run, finish=lambda run: broken)
     cause, state = cause_of(run, broken), State(first=object())
     state.counts += Counts(kinds=Counter(npc=1, failed=2, invalid=1), causes=Counter({cause: 2}))
-    with pytest.raises(SetupFaultError, match="all 2 evaluated runs of the first generation ended with"):
+    with pytest.raises(
+        SetupFaultError, match="all 2 evaluated runs of the first generation ended with"
+    ):
         check_set_up(state, bench, " of the first generation")
 
 
@@ -305,7 +356,11 @@ def test_note_warns_of_wrong_units_or_action_order(project):
         "(80.0, 0.0)": "requested an acceleration of 80 m/s^2, but only 6*not a speed*",
     }
     project.write(steers(told))
-    lines = [each for n, line in enumerate(told.values()) for each in (f"*test_drive_{n}[[]search[]]: *", f"*{line}")]
+    lines = [
+        each
+        for n, line in enumerate(told.values())
+        for each in (f"*test_drive_{n}[[]search[]]: *", f"*{line}")
+    ]
     project.run().stdout.fnmatch_lines(lines)
 
 
@@ -362,7 +417,12 @@ class TestAReplayWithAFaultOfTheSetUp:
         result.assert_outcomes(failed=2, skipped=1)
         text = result.stdout.str()
         assert text.count("This happened in this replay and 10 random scenarios") == 1
-        assert text.count("The cause is an error in the set-up. See the failure of test_it.py::test_fails[saved-") == 1
+        assert (
+            text.count(
+                "The cause is an error in the set-up. See the failure of test_it.py::test_fails[saved-"
+            )
+            == 1
+        )
         result.stdout.fnmatch_lines([f"the ADS failed: {SIGNATURES[call]}*"])
         assert "drifted" not in text
         assert '"status": "error"' in (two.path / "pafot.json").read_text()
@@ -374,7 +434,9 @@ class TestAReplayWithAFaultOfTheSetUp:
         result = two.run(runs=0)
         result.assert_outcomes(failed=2, skipped=1)
         result.stdout.fnmatch_lines(
-            ["*This happened in this replay and 10 random scenarios*error in the test function and not a finding*"]
+            [
+                "*This happened in this replay and 10 random scenarios*error in the test function and not a finding*"
+            ]
         )
         assert "drifted" not in result.stdout.str()
 
@@ -384,7 +446,9 @@ class TestAReplayWithAFaultOfTheSetUp:
         project.write(drives(ALONE).replace("SHORT", "genes=2"))
         result = project.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
-        result.stdout.fnmatch_lines(["ValueError: alone.", "*: 1 drifted", "* the ADS failed: ValueError: alone"])
+        result.stdout.fnmatch_lines(
+            ["ValueError: alone.", "*: 1 drifted", "* the ADS failed: ValueError: alone"]
+        )
 
     def test_an_accepted_failure_does_not_excuse_it(self, two):
         two.accept()

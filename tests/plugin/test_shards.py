@@ -14,7 +14,9 @@ def test_checks(run):
 def test_ends(run, limit):
     assert run.duration < limit
 """
-MENDED = SEARCHES.replace('f"cell {run.event_cell}", at_most=0.0', '"one", at_most=1.0').replace("< limit", "> limit")
+MENDED = SEARCHES.replace('f"cell {run.event_cell}", at_most=0.0', '"one", at_most=1.0').replace(
+    "< limit", "> limit"
+)
 FILES = ("test_it", "test_other")
 
 
@@ -52,14 +54,18 @@ def groups(*args, splits=3):
 @pytest.mark.parametrize("algorithm", ["duration_based_chunks", "least_duration"])
 def test_groups_of_pytest_split_replay_each_file_once(suite, algorithm):
     pytest.importorskip("pytest_split")
-    assert replayed(suite, *groups(f"--splitting-algorithm={algorithm}")) == dict.fromkeys(suite.files, 1)
+    assert replayed(suite, *groups(f"--splitting-algorithm={algorithm}")) == dict.fromkeys(
+        suite.files, 1
+    )
 
 
 def test_shuffled_groups_with_one_seed_replay_each_file_once(suite):
     pytest.importorskip("pytest_split")
     pytest.importorskip("pytest_randomly")
     plugins = ("pytest-split", "randomly")
-    assert replayed(suite, *groups("--randomly-seed=3"), plugins=plugins) == dict.fromkeys(suite.files, 1)
+    assert replayed(suite, *groups("--randomly-seed=3"), plugins=plugins) == dict.fromkeys(
+        suite.files, 1
+    )
 
 
 @pytest.mark.processes
@@ -69,7 +75,9 @@ def test_groups_in_several_processes_replay_each_file_once(suite):
     assert replayed(suite, *groups("-n2", splits=2)) == dict.fromkeys(suite.files, 1)
 
 
-@pytest.mark.parametrize("sessions", [[["test_it.py"], ["test_other.py"]], [["-k", "checks"], ["-k", "not checks"]]])
+@pytest.mark.parametrize(
+    "sessions", [[["test_it.py"], ["test_other.py"]], [["-k", "checks"], ["-k", "not checks"]]]
+)
 def test_sessions_of_some_tests_replay_each_file_once(suite, sessions):
     assert replayed(suite, *sessions, plugins=()) == dict.fromkeys(suite.files, 1)
 

@@ -17,7 +17,13 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searches.refine import steps
-from pytest_pafot.searches.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
+from pytest_pafot.searches.refine.simplest import (
+    ROLLOUTS,
+    ROLLOUTS_IN_KERNEL,
+    Turn,
+    rollouts_for,
+    starts_of,
+)
 from pytest_pafot.support.text import capitalised
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
@@ -126,11 +132,17 @@ def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, 
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
     told = f"  note: the search ended before 1 new finding was simplified. {how}"
     result.stdout.fnmatch_lines(
-        ["pafot: found a failed *test_interrupted*", "  The search ended early, *, because it was interrupted.", told]
+        [
+            "pafot: found a failed *test_interrupted*",
+            "  The search ended early, *, because it was interrupted.",
+            told,
+        ]
     )
     result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
-        result.stdout.fnmatch_lines([f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"])
+        result.stdout.fnmatch_lines(
+            [f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"]
+        )
         assert load(project.only_file).shrunk is None
 
 
@@ -138,7 +150,9 @@ def test_process_death_while_shrinking_preserves_the_finding(project):
     project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
     run(project, apart=True)
     assert load(project.only_file).shrunk is None
-    project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n"
+    )
     result = run(project, "--pafot-stop-after=1")
     result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
 
@@ -149,7 +163,9 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
         raise OutOfBudget
 
     monkeypatch.setattr(Turn, "check", check)
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    project.write(
+        "@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n"
+    )
     result = run(project, "--pafot-json=out.json", "--pafot-report=page.html")
     result.assert_outcomes(failed=2)
     told = "it was not simplified, because the time ran out"
@@ -162,17 +178,27 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
 
 def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monkeypatch):
     monkeypatch.setattr(steps, "LEAST_DECISIONS", 300)
-    project.write("@pafot.search(npcs=4)\ndef test_fails(run):\n    assert len(run.scenario.npcs) < 3\n")
+    project.write(
+        "@pafot.search(npcs=4)\ndef test_fails(run):\n    assert len(run.scenario.npcs) < 3\n"
+    )
 
     def session(*options):
         project.forget()
         result = project.run_once("--pafot-json=out.json", *options, runs=2)
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
         asked = [search["decisions"][what] for what in ("search", "confirm", "shrink", "moment")]
-        return asked[0], sum(asked[1:]), project.contents, "*note: simplifying stopped at its limit.*", result
+        return (
+            asked[0],
+            sum(asked[1:]),
+            project.contents,
+            "*note: simplifying stopped at its limit.*",
+            result,
+        )
 
     first, refining, files, note, result = session()
-    assert 0 < refining <= max(first, 300) + 300  # and what confirms the finding, before its simplification
+    assert (
+        0 < refining <= max(first, 300) + 300
+    )  # and what confirms the finding, before its simplification
     result.stdout.fnmatch_lines([note])
     assert session("--pafot-workers=2")[1:3] == (refining, files)
     first, refining, other, note, result = session("--pafot-shrink-runs=300")
@@ -184,7 +210,9 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     """From the second gene on, the ego would start in the outer lane, which has no room for six NPCs around it."""
     starts = ((1, 22.0), (0, 22.0), (0, 22.0))
-    monkeypatch.setattr(pytest_pafot.searches.refine.simplest, "starts_of", lambda run, top_speed: starts)
+    monkeypatch.setattr(
+        pytest_pafot.searches.refine.simplest, "starts_of", lambda run, top_speed: starts
+    )
 
     def holds(run):
         assert len(run.scenario.npcs) < 6 or min(map(len, run.scenario.npcs)) < 2
@@ -201,7 +229,11 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
         seed=1,
     )
     (finding,) = result.findings
-    assert (len(finding.scenario.npcs), finding.scenario.ego_lane, finding.scenario.genes) == (6, 1, 2)
+    assert (len(finding.scenario.npcs), finding.scenario.ego_lane, finding.scenario.genes) == (
+        6,
+        1,
+        2,
+    )
 
 
 def rollouts_without_an_option(ads):
@@ -217,7 +249,11 @@ def test_vehicle_class_in_the_kernel_gets_more_rollouts():
         def act(self, action=None):
             self.action = {"steering": 0.0, "acceleration": 0.0}
 
-    assert rollouts_without_an_option(IDMVehicle) == rollouts_without_an_option(Near) == ROLLOUTS_IN_KERNEL
+    assert (
+        rollouts_without_an_option(IDMVehicle)
+        == rollouts_without_an_option(Near)
+        == ROLLOUTS_IN_KERNEL
+    )
     assert rollouts_without_an_option(Coasts) == ROLLOUTS
     assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
 
@@ -244,7 +280,9 @@ def test_brakes(run):
         "  hardest-brake-*: 1 run (new, flaky).",
     ])  # fmt: skip
     finding = load(project.only_file)
-    assert finding.flaky.startswith("running it again gave a different run: speed of the ego differs by 0.2 m/s")
+    assert finding.flaky.startswith(
+        "running it again gave a different run: speed of the ego differs by 0.2 m/s"
+    )
     assert finding.rate == FailureRate(failing=5)
     assert finding.shrunk is None
 
@@ -267,7 +305,9 @@ def test_drives(run):
     assert run.ego.speed.mean() < 1
 """)
     run(project).stdout.fnmatch_lines(
-        ["The policy or a wrapper probably has its own random generator. In a wrapper, draw from self.np_random*"]
+        [
+            "The policy or a wrapper probably has its own random generator. In a wrapper, draw from self.np_random*"
+        ]
     )
 
 

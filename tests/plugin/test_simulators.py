@@ -65,7 +65,8 @@ def session(project, *options, made=99, close="pass"):
     project.write(SEARCH)
     result = project.run(*options, runs=None, apart=True)
     made, closed = (
-        sorted(each.name.partition("-")[2] for each in project.path.glob(f"{what}-*")) for what in ("made", "closed")
+        sorted(each.name.partition("-")[2] for each in project.path.glob(f"{what}-*"))
+        for what in ("made", "closed")
     )
     return result, made, closed
 
@@ -80,7 +81,9 @@ ENDS, INTERRUPTED = pytest.ExitCode.OK, pytest.ExitCode.INTERRUPTED
     (("--pafot-isolate",), 2, INTERRUPTED),
     (("-n1",), 1, ENDS),
 ])  # fmt: skip
-def test_each_simulator_is_closed_once_at_the_end_or_after_an_interrupt(project, options, processes, code):
+def test_each_simulator_is_closed_once_at_the_end_or_after_an_interrupt(
+    project, options, processes, code
+):
     result, made, closed = session(project, *options, made=processes if code == INTERRUPTED else 99)
     assert result.ret == code
     assert (len(made), closed) == (processes, made)
@@ -88,9 +91,13 @@ def test_each_simulator_is_closed_once_at_the_end_or_after_an_interrupt(project,
 
 @pytest.mark.parametrize("options", [(), (WORKERS,)])
 def test_close_that_raises_stays_a_warning_where_warnings_are_errors(project, options):
-    result, made, closed = session(project, "-Werror", "--junitxml=results.xml", *options, close="raise OSError('no')")
+    result, made, closed = session(
+        project, "-Werror", "--junitxml=results.xml", *options, close="raise OSError('no')"
+    )
     assert result.ret == 0
     assert (len(made), closed) == (3 if options else 1, made)
-    result.stdout.fnmatch_lines(["*RuntimeWarning: Placing.close: expected no exception, received OSError: no*"])
+    result.stdout.fnmatch_lines(
+        ["*RuntimeWarning: Placing.close: expected no exception, received OSError: no*"]
+    )
     result.assert_outcomes(passed=1, warnings=len(made))
     assert 'errors="0"' in (project.path / "results.xml").read_text("utf-8")

@@ -11,7 +11,10 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.plugin import item_checks
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
-pytestmark = [pytest.mark.processes, pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")]
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals"),
+]
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -117,7 +120,9 @@ def test_native_code_hang_ends_session_with_traceback(hanging):
     if sys.platform == "linux":
         finding, result = named_by_the_next(project)
         assert finding.expect.message.endswith("did not answer for 0.5 s and was killed")
-        result.stdout.fnmatch_lines(["*for 0.5 s and was killed*a forked process. In the last case, delete the file*"])
+        result.stdout.fnmatch_lines(
+            ["*for 0.5 s and was killed*a forked process. In the last case, delete the file*"]
+        )
 
 
 def test_under_xdist_only_the_worker_ends(hanging):
@@ -125,7 +130,9 @@ def test_under_xdist_only_the_worker_ends(hanging):
     project = hanging("swallow")
     result = project.run("-n1", runs=36, seed=6, apart=True)
     assert result.parseoutcomes()["passed"] == 1
-    result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
+    result.stdout.fnmatch_lines(
+        ["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"]
+    )
     assert "a process (pid" in " ".join(result.stdout.str().split())
     assert project.files
 
@@ -134,7 +141,9 @@ def test_under_xdist_only_the_worker_ends(hanging):
 def test_worker_that_ignores_interrupt_ends_but_search_continues(dear, monkeypatch):  # noqa: F811
     monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.3)
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
-    project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
+    project = dear(
+        "hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")]
+    )
     result, contents = session(project, 2, runs=16)
     finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG

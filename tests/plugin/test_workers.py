@@ -68,7 +68,9 @@ def summary(result):
     depends = re.compile(r"pafot-workers| \d+/s$").search
     lines = [line for line in result.stdout.lines if not depends(line)]
     rule = re.compile(r"(?<= )=+$|^=+(?= )")  # the rule is shorter if a time has more digits
-    return [rule.sub("", re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line)) for line in lines]
+    return [
+        rule.sub("", re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line)) for line in lines
+    ]
 
 
 def session(project, workers, *args, **options):
@@ -100,11 +102,19 @@ def test_number_of_workers_does_not_change_what_is_worse_than_accepted(dear):
     project.accept()
     accepted, told = project.only_file, []
     for workers in (1, 2):
-        result = project.run(f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", runs=36)
+        result = project.run(
+            f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", runs=36
+        )
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
-        new = {path: path.read_text() for path in project.path.rglob("*.pafot.yaml") if path != accepted}
+        new = {
+            path: path.read_text()
+            for path in project.path.rglob("*.pafot.yaml")
+            if path != accepted
+        }
         told.append((search["known"], search["finds"], search["failures"], new))
-        result.stdout.fnmatch_lines(["  note: * is worse than saved-*, which was accepted for impacts at up to * m/s"])
+        result.stdout.fnmatch_lines(
+            ["  note: * is worse than saved-*, which was accepted for impacts at up to * m/s"]
+        )
         for path in new:
             path.unlink()
     assert told[0] == told[1]
@@ -113,7 +123,10 @@ def test_number_of_workers_does_not_change_what_is_worse_than_accepted(dear):
 
 @pytest.mark.parametrize("capture", ["fd", "sys"])
 def test_what_the_ads_prints_is_captured_as_ever(dear, capture):
-    project = dear("chatty", "def chatty(observation):\n    print('at', observation.time)\n    return 0.0, 0.0\n")
+    project = dear(
+        "chatty",
+        "def chatty(observation):\n    print('at', observation.time)\n    return 0.0, 0.0\n",
+    )
     printed = []
     for workers in (1, 2):
         result, _ = session(project, workers, "-v", f"--capture={capture}", runs=8)
@@ -124,7 +137,8 @@ def test_what_the_ads_prints_is_captured_as_ever(dear, capture):
 
 def test_an_ads_that_raises_is_the_same_finding(dear):
     more = (
-        "def fails(observation):\n    if observation.time > 3:\n        raise KeyError('lane')\n    return 0.0, 0.0\n"
+        "def fails(observation):\n    if observation.time > 3:\n        raise "
+        "KeyError('lane')\n    return 0.0, 0.0\n"
     )
     project = dear("fails", more)
     _, contents = session(project, 1, runs=8)
@@ -205,10 +219,20 @@ def noting(observation):
     return 0.0, 0.0
 """
     project = dear("noting", more, test=MANY)
-    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "pafot",
+        "--pafot-generations=999",
+        "--pafot-seed=1",
+    ]
     one = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with begun([*command, "--pafot-workers=2"], cwd=project.path, text=True, **one) as process:
-        found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[-1]
+        found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[
+            -1
+        ]
         while len(list(project.path.glob("pid-*"))) < 3:
             time.sleep(0.01)
         os.killpg(process.pid, signal.SIGINT)

@@ -29,7 +29,11 @@ def test_xdist_workers_give_same_results_as_one_process(project):
     page = project.path / "report.html"
     written = ("--pafot-report=report.html", "--pafot-json=out/pafot.json")
     project.run(*written, runs=8)
-    serial, shown, record = project.contents, read_page(page)[1:], (project.path / "out/pafot.json").read_text()
+    serial, shown, record = (
+        project.contents,
+        read_page(page)[1:],
+        (project.path / "out/pafot.json").read_text(),
+    )
     project.run("--pafot-json=again.json", runs=0)
     again = (project.path / "again.json").read_text()
     assert len(json.loads(again)["findings"]) == len(json.loads(record)["findings"]) > 1
@@ -53,7 +57,9 @@ def test_xdist_workers_give_same_results_as_one_process(project):
 
 
 def test_a_worker_can_send_what_no_text_encoding_has(project):
-    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration < 1, '\\ud800'\n")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration < 1, '\\ud800'\n"
+    )
     for label, passed in (("new", 0), ("still failing", 1)):
         result = project.run("-n1", "--pafot-report=report.html", runs=4)
         result.assert_outcomes(failed=2 - passed, passed=passed)
@@ -124,7 +130,15 @@ def test_load_groups_do_not_change_finding_ids(project):
 
 def test_kill_loses_no_announced_finding_or_file(project):
     project.write(TWO.replace("assert run", "__import__('time').sleep(0.05)\n    assert run"))
-    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=5", "--pafot-seed=1"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "pafot",
+        "--pafot-generations=5",
+        "--pafot-seed=1",
+    ]
     with begun(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
         announced = []
         for line in process.stdout:
@@ -133,7 +147,9 @@ def test_kill_loses_no_announced_finding_or_file(project):
             if len(announced) == 2:
                 break
         process.kill()
-    assert set(announced) <= {name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files}
+    assert set(announced) <= {
+        name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files
+    }
     assert [load(project.path / name).test for name in project.files]
     result = project.run(runs=0)
     assert result.parseoutcomes()["failed"] >= 2
@@ -156,12 +172,17 @@ def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(projec
     project.write(IDLES + TWO.replace("SHORT", "SHORT, runs=100000, ads=idles"))
     command = [sys.executable, "-m", "pytest", "-n2", "-p", "xdist", "-p", "pafot"]
     with begun(
-        [*command, "--pafot-json=x.json", "--pafot-report=x.html"], stdout=subprocess.PIPE, text=True
+        [*command, "--pafot-json=x.json", "--pafot-report=x.html"],
+        stdout=subprocess.PIPE,
+        text=True,
     ) as session:
         wait_for_a_finding(session)
         session.terminate()
         rest, _ = session.communicate(timeout=100)
-    record, page = json.loads((project.path / "x.json").read_text()), (project.path / "x.html").read_text()
+    record, page = (
+        json.loads((project.path / "x.json").read_text()),
+        (project.path / "x.html").read_text(),
+    )
     assert (session.returncode, record["exit"]) == (2, 2)
     assert {each["reason"] for each in record["searches"]} == {"interrupted"}
     assert {each["file"] for each in record["findings"]} == set(project.files)
@@ -195,7 +216,9 @@ def test_a_finding_that_the_controller_has_read_and_not_yet_taken_is_not_lost(pr
     project.write(TWO)
     with (project.path / "conftest.py").open("a") as conftest:
         conftest.write(IN_BETWEEN)
-    result = project.run("-n1", "--pafot-json=x.json", "--pafot-stop-after=1", runs=None, apart=True)
+    result = project.run(
+        "-n1", "--pafot-json=x.json", "--pafot-stop-after=1", runs=None, apart=True
+    )
     record = json.loads((project.path / "x.json").read_text())
     assert (result.ret, record["exit"]) == (2, 2)
     files = [each["file"] for each in record["findings"]]

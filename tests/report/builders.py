@@ -52,7 +52,9 @@ CUT_IN = scenario([(1, 25.0), (2, 8.0)], [(4, 20.0), (4, 20.0)], seed=7)
 def finding_of(trace, **more):
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     found = Found(seed=1, generation=3, algorithm="pafot", versions={"pytest-pafot": "0.1.0"})
-    return Finding.from_run(Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found)
+    return Finding.from_run(
+        Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found
+    )
 
 
 def seen_of(trace, finding=None, **more):
@@ -60,7 +62,9 @@ def seen_of(trace, finding=None, **more):
     finding = finding or finding_of(trace)
     run = None if trace is None else Run(trace)
     observed = Observed(new="new", fails=True, run=run)
-    return Seen(finding=finding, observed=observed, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more)
+    return Seen(
+        finding=finding, observed=observed, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more
+    )
 
 
 class Viewed(Shown):
@@ -78,7 +82,11 @@ def attributes(value):
     """Return plain data with attributes in place of keys."""
     if isinstance(value, (tuple, list)):
         return tuple(map(attributes, value))
-    return SimpleNamespace(**{k: attributes(v) for k, v in value.items()}) if isinstance(value, dict) else value
+    return (
+        SimpleNamespace(**{k: attributes(v) for k, v in value.items()})
+        if isinstance(value, dict)
+        else value
+    )
 
 
 def view_of(trace, finding=None, check=None, **more):
@@ -101,14 +109,18 @@ def cut_in_trace():
 @cache
 def rear_trace():
     """Return a run in which an NPC drives into the ego from behind; a second NPC falls far behind."""
-    return pafot.Highway().rollout(scenario([(6, 26.8)] * 3, [(7, 2.0)] * 3, ego_speed=15.0), constant_speed)
+    return pafot.Highway().rollout(
+        scenario([(6, 26.8)] * 3, [(7, 2.0)] * 3, ego_speed=15.0), constant_speed
+    )
 
 
 @cache
 def bend_trace():
     """Return a run in which an NPC cuts in at a bend of the racetrack, and brakes."""
     world = pafot.World("racetrack-v1", duration=20.0)
-    chains = scenario([(1, 4.0), (2, 0.0)], [(6, 10.0), (6, 10.0)], gene_seconds=4.0, ego_speed=10.0)
+    chains = scenario(
+        [(1, 4.0), (2, 0.0)], [(6, 10.0), (6, 10.0)], gene_seconds=4.0, ego_speed=10.0
+    )
     return world.rollout(chains, lambda: ControlledVehicle)
 
 
@@ -138,7 +150,9 @@ REAL_SEARCH = Search(
 
 def page_of(*views, title="t", **more):
     """Return the page of a session with these views."""
-    return render_page(session_of(*views, **more), title=title, command="pytest --pafot-generations=8")[0]
+    return render_page(
+        session_of(*views, **more), title=title, command="pytest --pafot-generations=8"
+    )[0]
 
 
 def real_page():

@@ -38,8 +38,16 @@ EXPECT = plain_finding().expect
 def seen(*, expect=None, finding=None, **more):
     """Return what a session saw of a collision, with all that is told of one."""
     changed = {"expect": replace(EXPECT, **expect or {})} | (finding or {})
-    known = {"headline": f"{HEADLINE}; ego at fault", "sentences": (FACT, DEED, VERDICT), "path": "corpus/a.pafot.yaml"}
-    known |= {"moment": MOMENT, "severity": HIT, "alike": Alike(runs=30, number=28, severity=HARDER, least=HIT)}
+    known = {
+        "headline": f"{HEADLINE}; ego at fault",
+        "sentences": (FACT, DEED, VERDICT),
+        "path": "corpus/a.pafot.yaml",
+    }
+    known |= {
+        "moment": MOMENT,
+        "severity": HIT,
+        "alike": Alike(runs=30, number=28, severity=HARDER, least=HIT),
+    }
     return sighting("a", finding=changed, **known | more)
 
 
@@ -71,7 +79,14 @@ def test_a_block_reads_so():
 
 LONG = f"{FACT[:-1]}{', and then it moved on' * 3}."
 """A sentence of two lines."""
-LEFT_OUT = ("failed in the same way", "did not brake", "line 7", "the policy saw", "no generator", "reference idm")
+LEFT_OUT = (
+    "failed in the same way",
+    "did not brake",
+    "line 7",
+    "the policy saw",
+    "no generator",
+    "reference idm",
+)
 """Some words of what a block leaves out, in this order."""
 REFERENCE = {"expect": {"against": "idm"}}
 
@@ -80,7 +95,11 @@ REFERENCE = {"expect": {"against": "idm"}}
 def test_a_block_that_would_be_too_long_leaves_out_what_is_less_important(count):
     """The headline, the verdict and the command stay, however long the rest is."""
     verdict = " ".join([VERDICT, *[LONG] * count])
-    long = {"sentences": (FACT, DEED, verdict), "runs": 40, "finding": {"flaky": "no generator"}} | REFERENCE
+    long = {
+        "sentences": (FACT, DEED, verdict),
+        "runs": 40,
+        "finding": {"flaky": "no generator"},
+    } | REFERENCE
     text, lines = block(**long)
     there = [words in text for words in LEFT_OUT]
     assert there == sorted(there)  # what is left out is the first of the list
@@ -90,7 +109,9 @@ def test_a_block_that_would_be_too_long_leaves_out_what_is_less_important(count)
 
 
 def test_what_a_replay_was_stays_longest():
-    text, lines = block(sentences=(FACT, DEED, " ".join([LONG] * 5)), label="drifted", detail="numpy 2 instead of 1")
+    text, lines = block(
+        sentences=(FACT, DEED, " ".join([LONG] * 5)), label="drifted", detail="numpy 2 instead of 1"
+    )
     assert "Result of the replay: drifted (numpy 2 instead of 1)." in text
     assert "did not brake" not in text
     assert lines <= ROOM
@@ -100,7 +121,13 @@ def test_what_a_replay_was_stays_longest():
 def test_a_whole_block_has_all_that_is_known():
     original = Scenario(npcs=[[PositionInstruction(2, 8.0)] * 2, [PositionInstruction(4, 20.0)]])
     finding = {"shrunk": Shrunk(rollouts=5, before=described(original)), "flaky": "no generator"}
-    more = {"finding": finding, "runs": 40, "label": "accepted", "detail": "x" * 100, "is_whole": True}
+    more = {
+        "finding": finding,
+        "runs": 40,
+        "label": "accepted",
+        "detail": "x" * 100,
+        "is_whole": True,
+    }
     text, lines = block(**more, beyond="crash", expect={"against": "idm"})
     for part in (
         FACT, DEED, VERDICT, "with NPC 0 hidden, it chose the same", "line 7", "line 9", "x" * 100, "accepted",
@@ -116,19 +143,28 @@ def test_of_what_is_not_saved_the_block_has_the_file_and_no_command():
     lines = block_lines(lost, "")
     begin = lines.index("The file would contain:")
     assert lines[begin - 1] == "It was not saved: read-only file system."
-    assert lines[begin + 1 :] == [f"  {line}" for line in text_of(lost.finding).rstrip().splitlines()]
+    assert lines[begin + 1 :] == [
+        f"  {line}" for line in text_of(lost.finding).rstrip().splitlines()
+    ]
     asked, _ = block(path="", detail="--pafot-save=none", again="")
     assert "It was not saved: --pafot-save=none." in asked
     assert "The file would contain" not in asked
-    assert "The saved file could not be updated: no room." in block(detail="could not be updated: no room")[0]
+    assert (
+        "The saved file could not be updated: no room."
+        in block(detail="could not be updated: no room")[0]
+    )
 
 
 def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
     accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
-    text, lines = block(finding=accepted, label="still failing", beyond="NPC 1 hit the ego from behind")
+    text, lines = block(
+        finding=accepted, label="still failing", beyond="NPC 1 hit the ego from behind"
+    )
     told = "The failure is not accepted. The line `xfail:` in corpus/a.pafot.yaml accepts "
     accepted_one = "The ego's front hit NPC 0 after 12.4 s"
-    assert f"{told}`{accepted_one}`, but this failure differs: NPC 1 hit the ego from behind. " in text
+    assert (
+        f"{told}`{accepted_one}`, but this failure differs: NPC 1 hit the ego from behind. " in text
+    )
     assert lines <= ROOM
     assert "not accepted" not in block(finding=accepted, label="accepted")[0]
 
@@ -148,7 +184,9 @@ def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):
 
 
 def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
-    assert "31 of 40 runs failed in the same way. The worst one hits at 11.4 m/s." in block(runs=40)[0]
+    assert (
+        "31 of 40 runs failed in the same way. The worst one hits at 11.4 m/s." in block(runs=40)[0]
+    )
     assert "in the same way" not in block(runs=1, alike=Alike())[0]
     assert "No other run failed in the same way. replay" in block(runs=9, alike=Alike())[0]
     assert "31 of 40 runs failed in the same way. replay" in block(runs=40, severity=HARDER)[0]
@@ -156,10 +194,14 @@ def test_the_runs_that_failed_alike_have_their_worst_only_if_it_is_worse():
 
 
 ERROR = (
-    '  File "t.py", line 14, in raises\n    return 1 / gap\n           ~~^~~~\nZeroDivisionError: division by zero\n'
+    '  File "t.py", line 14, in raises\n    return 1 / gap\n           '
+    "~~^~~~\nZeroDivisionError: division by zero\n"
 )
 NO_HIT = {"npc": None, "cell": None, "side": None}
-CHECK = {"failure": CHECK_FAILED, "check": Bounded(value=6.0, at_most=5.0, at_least=None, unit="m/s^2")}
+CHECK = {
+    "failure": CHECK_FAILED,
+    "check": Bounded(value=6.0, at_most=5.0, at_least=None, unit="m/s^2"),
+}
 RAISED = {"outcome": Outcome.ADS_ERROR, "traceback": ERROR, "time": 3.8} | NO_HIT
 CRASHED = {"failure": PROCESS_CRASH, "outcome": Outcome.COMPLETED} | NO_HIT
 ALSO = f"Also in this run: {HEADLINE}; ego at fault."
@@ -176,7 +218,9 @@ ALSO = f"Also in this run: {HEADLINE}; ego at fault."
      ["The policy failed after 3.8 s: ZeroDivisionError: division by zero.", *ERROR.splitlines()[:2]]),
     (CRASHED, "died", (), {"text": "It was ended by SIGABRT"}, ["It was ended by SIGABRT."]),
 ])  # fmt: skip
-def test_what_is_no_plain_collision_begins_with_what_failed_and_where(expect, headline, sentences, assertion, lines):
+def test_what_is_no_plain_collision_begins_with_what_failed_and_where(
+    expect, headline, sentences, assertion, lines
+):
     failure = seen(expect=expect, headline=headline, sentences=sentences, moment=None)
     where = {"place": "t.py:52"} if assertion else {}
     assert block_lines(failure, AGAIN, **where | assertion) == [*lines, f"replay {AGAIN}"]
@@ -187,7 +231,9 @@ def test_a_block_fits_the_terminal_except_for_its_command(width):
     *lines, command = block_lines(seen(), AGAIN, search=of(40), width=width)
     assert max(map(len, lines)) <= width
     assert command == f"replay {AGAIN}"
-    assert " ".join(" ".join(lines).split()) == " ".join(" ".join(block_lines(seen(), "", search=of(40))).split())
+    assert " ".join(" ".join(lines).split()) == " ".join(
+        " ".join(block_lines(seen(), "", search=of(40))).split()
+    )
 
 
 @table(("expect", "what"), [

@@ -39,7 +39,9 @@ def shown(value, **arguments):
     check = checked(value, **arguments)
     failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     given = finding_of(trace)
-    finding = Finding.from_run(Run(trace), failure, test=given.test, world=given.world, found=given.found)
+    finding = Finding.from_run(
+        Run(trace), failure, test=given.test, world=given.world, found=given.found
+    )
     return view_of(trace, finding, check=check, headline=str(check))
 
 
@@ -79,7 +81,9 @@ def test_single_number_and_values_of_unknown_ticks_have_no_curve():
 
 
 def test_article_starts_with_check_value_bound_and_moment():
-    article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0).replace("\u00a0", " ")
+    article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0).replace(
+        "\u00a0", " "
+    )
     headline = "The check fails from 4.1 s: jerk = 35.1 &gt; 20 m/s^3<"
     assert article.index(headline) < article.index('class="player"') < article.index("<footer>")
     assert article.partition('class="yaml"')[0].count("35.1") == 1
@@ -100,7 +104,9 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     assert collided.deed.startswith("The ego drove at ")
     assert view.deed == collided.deed
     assert view.sentences == ()
-    assert view.besides.startswith("There was also a collision in this run. The ego hit NPC 0 from behind after ")
+    assert view.besides.startswith(
+        "There was also a collision in this run. The ego hit NPC 0 from behind after "
+    )
     assert view.besides.endswith("; both at fault.")
     title, words, _ = view.happened[0]
     assert title == "The collision"
@@ -109,7 +115,9 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     )
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0).replace("\u00a0", " ")
-    assert f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article  # red, as a collision's
+    assert (
+        f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article
+    )  # red, as a collision's
     assert article.count("deed") == 1
     assert article.index("</h2>") < article.index(view.besides) < article.index('class="player"')
     assert article.index('class="player"') < article.index("The collision.")
@@ -129,7 +137,9 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     assert len(view.check.values) == len(view.times)
     other = view_of(trace, finding_of(trace), check=replace(check, value=1.2), headline="x")
     assert (other.check.values, other.check.time) == ((), None)
-    assert other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."  # which its headline does not say
+    assert (
+        other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."
+    )  # which its headline does not say
 
 
 @pytest.mark.parametrize("at", [1.0, None])
@@ -137,7 +147,9 @@ def test_a_least_value_whose_time_the_user_gives_keeps_that_time_and_has_no_othe
     trace = cut_in_trace()
     check = checked(Run(trace).min_ttc, trace.ticks, name="room", unit="s", at_least=1.5, at=at)
     view = view_of(trace, finding_of(trace), check=check, headline="x")
-    assert (view.check.time == at, view.check.values == ()) == ((True, True) if at else (False, False))
+    assert (view.check.time == at, view.check.values == ()) == (
+        (True, True) if at else (False, False)
+    )
 
 
 @table(("values", "sentence"), [
@@ -155,6 +167,8 @@ def test_list_calls_it_failed_check_and_the_article_alone_blames_for_a_collision
     listed = finding_list([view, as_seen(view, finding={"id": "other"})])
     assert '<p class="summary">\u25b2 2 failed checks</p>' in listed
     assert "at fault" not in listed
-    view = as_seen(view, finding={"expect": replace(view.seen.finding.expect, responsibility="npc")})
+    view = as_seen(
+        view, finding={"expect": replace(view.seen.finding.expect, responsibility="npc")}
+    )
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
     assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)

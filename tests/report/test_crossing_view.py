@@ -44,7 +44,9 @@ def test_zone_area_is_where_bodies_are_inside_it():
     assert zone.area == ((50.0, -2.0), (50.0, -1.0), (50.0, 0.0), (50.0, 1.0), (50.0, 2.0))
     assert zone.width == 4.0
     first, *_, last = mixed().vehicles[2].zone.area
-    assert first == pytest.approx((75 - 15 * np.cos(0.5), 15 - 15 * np.sin(0.5)), abs=0.05)  # 7.5 m of 15 m turned
+    assert first == pytest.approx(
+        (75 - 15 * np.cos(0.5), 15 - 15 * np.sin(0.5)), abs=0.05
+    )  # 7.5 m of 15 m turned
     assert last[1] == pytest.approx(0.0, abs=0.05)
 
 
@@ -57,7 +59,9 @@ def test_zone_with_unknown_way_is_named_but_undrawn():
 def test_world_gives_ways_that_its_npcs_drive():
     world = pafot.World("intersection-v0")
     told = CrossingInstruction("o1>o3", 0.0, 8.0), CrossingInstruction("o3>o1", 1.0, 7.0)
-    scenario = Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
+    scenario = Scenario(
+        npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed
+    )
     trace = world.rollout(scenario, lambda: lambda seen: 1)
     view = view_of(trace)
     for npc, vehicle in enumerate(view.vehicles[1:]):

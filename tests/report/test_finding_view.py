@@ -36,21 +36,30 @@ from tests.report.builders import (
 
 def leader_stops_dead():
     """Return a run with an ego that the rules excuse for want of time."""
-    return next(each.trace() for group in SITUATIONS.values() for each in group if each.name == "leader-stops-dead")
+    return next(
+        each.trace()
+        for group in SITUATIONS.values()
+        for each in group
+        if each.name == "leader-stops-dead"
+    )
 
 
 def braking_ahead(**more):
     """Return a run with an NPC 40 m ahead at 10 m/s; the ego comes at 20 m/s and hits it after 3.5 s."""
     ticks = 52
     npc = vehicle(40.0, 4.0, speed=10.0, ticks=ticks)
-    return trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=ticks), npc, outcome=Outcome.COLLISION, **more)
+    return trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=ticks), npc, outcome=Outcome.COLLISION, **more
+    )
 
 
 @table("physics_hz", [5, 10, 15, 20, 50, 100])
 def test_frame_rate_is_similar_at_any_physics_rate(physics_hz):
     ticks = 20 * physics_hz
     trace = trace_of(
-        vehicle(0.0, speed=20.0, ticks=ticks), vehicle(50.0, speed=20.0, ticks=ticks), physics_hz=physics_hz
+        vehicle(0.0, speed=20.0, ticks=ticks),
+        vehicle(50.0, speed=20.0, ticks=ticks),
+        physics_hz=physics_hz,
     )
     rate = (len(frame_ticks(trace)) - 1) / trace.duration
     assert 5 <= rate <= 10
@@ -76,7 +85,9 @@ def test_frame_positions_and_measures_match_the_trace():
             assert is_close(shown.along[frame], x)
             assert is_close(shown.across[frame], y)
             assert is_close(shown.speed[frame], speed)
-            assert shown.acceleration[frame] == pytest.approx(trace.states[tick, index, ACCELERATION], abs=0.06)
+            assert shown.acceleration[frame] == pytest.approx(
+                trace.states[tick, index, ACCELERATION], abs=0.06
+            )
         for npc, shown in enumerate(view.vehicles[1:]):
             assert is_close(shown.gap[frame], gaps[tick, npc])
             seconds = times[tick, npc]
@@ -90,19 +101,28 @@ def test_turned_road_gives_the_same_picture_as_straight(heading):
         y = offset * np.sin(heading) + lane * 4.0 * np.cos(heading)
         return vehicle(x, y, heading=heading, speed=speed, lane=lane, ticks=30)
 
-    turned = trace_of(driving(0, 1, 20.0), driving(30, 2, 18.0), lanes=straight_lanes(heading=heading))
-    straight = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(30.0, 8.0, speed=18.0, ticks=30))
+    turned = trace_of(
+        driving(0, 1, 20.0), driving(30, 2, 18.0), lanes=straight_lanes(heading=heading)
+    )
+    straight = trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(30.0, 8.0, speed=18.0, ticks=30)
+    )
     one, other = view_of(turned), view_of(straight)
     assert one.road == other.road
     for a, b in zip(one.vehicles, other.vehicles, strict=True):
         assert a.cells == b.cells
         for name in ("along", "across", "heading", "speed"):
-            assert all(is_close(x, y, 0.011) for x, y in zip(getattr(a, name), getattr(b, name), strict=True))
+            assert all(
+                is_close(x, y, 0.011)
+                for x, y in zip(getattr(a, name), getattr(b, name), strict=True)
+            )
 
 
 def test_npc_cell_is_given_at_every_frame():
     assert set(view_of(braking_ahead()).vehicles[1].cells) == {int(Cell.FRONT)}
-    beside = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(1.0, 4.5, speed=20.0, ticks=9))
+    beside = trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(1.0, 4.5, speed=20.0, ticks=9)
+    )
     assert set(view_of(beside).vehicles[1].cells) == {0}
 
 
@@ -110,27 +130,40 @@ def test_instructions_include_requested_and_driven_cells():
     asked, driven = scenario([(1, 20.0), (2, 8.0)]), scenario([(1, 20.0), (1, 8.0)])
     trace = replace(braking_ahead(), scenario=asked, executed=driven, arrivals=((30, None),))
     first, second = view_of(trace).instructions
-    assert (first.requested, first.cell, first.speed, first.start, first.end) == (1, 1, 20.0, 0.0, 10.0)
+    assert (first.requested, first.cell, first.speed, first.start, first.end) == (
+        1,
+        1,
+        20.0,
+        0.0,
+        10.0,
+    )
     assert first.arrived == 2.0
     assert (second.requested, second.cell, second.started, second.arrived) == (2, 1, True, None)
 
 
 def test_genes_that_the_run_never_reached_are_marked():
-    vehicles = [vehicle(x, y, speed=20.0, ticks=52) for x, y in ((0.0, 4.0), (40.0, 4.0), (0.0, 8.0))]
+    vehicles = [
+        vehicle(x, y, speed=20.0, ticks=52) for x, y in ((0.0, 4.0), (40.0, 4.0), (0.0, 8.0))
+    ]
     trace = trace_of(*vehicles, scenario=CUT_IN, arrivals=((15,), (3,)))
     assert [row.started for row in view_of(trace).instructions] == [True, False, True, False]
 
 
 def words_of(view):
     """Return the prose of a view, a line for each paragraph, with its title."""
-    return [f"{title}: {sentences}" if title else sentences for title, sentences, _ in view.happened]
+    return [
+        f"{title}: {sentences}" if title else sentences for title, sentences, _ in view.happened
+    ]
 
 
 def test_headline_and_prose_are_from_run_by_default():
     view, hit = view_of(rear_trace()), rear_trace().collision
     assert (view.event.kind, view.event.npc, view.event.side) == ("collision", hit.npc, hit.side)
     assert view.event.time == pytest.approx(hit.time, abs=0.001)
-    assert view.headline == f"{Run(rear_trace()).impact} (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
+    assert (
+        view.headline
+        == f"{Run(rear_trace()).impact} (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
+    )
     assert words_of(view)[0].startswith("Hardest braking by the ego: ")
     assert view_of(rear_trace(), headline="H").headline == "H"
 
@@ -142,8 +175,13 @@ def test_takeover_is_above_the_picture():
     first, *others = Run(trace).sentences
     assert view_of(trace).sentences == (first, *others)
     expect = replace(finding.expect, takeover=1.25)
-    avoided, other = (replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1)))
-    assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
+    avoided, other = (
+        replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1))
+    )
+    assert view_of(trace, other).sentences == (
+        first,
+        *others,
+    )  # this finding is from a different run
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
     careful = "A careful driver who took control 1.25 s before the impact would have avoided it."
@@ -154,7 +192,9 @@ def test_takeover_is_above_the_picture():
 
 
 def test_deed_is_that_of_a_responsible_ego():
-    stopped = braking_ahead()  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
+    stopped = (
+        braking_ahead()
+    )  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
     run = Run(stopped)
     assert run.responsibility == "ego"
     assert view_of(stopped).deed == run.sentences[1]
@@ -163,12 +203,16 @@ def test_deed_is_that_of_a_responsible_ego():
 
 
 @pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc")])
-def test_page_shows_the_verdict_that_a_careful_driver_has_decided(seconds, responsible, monkeypatch):
+def test_page_shows_the_verdict_that_a_careful_driver_has_decided(
+    seconds, responsible, monkeypatch
+):
     """The rules alone excuse this ego; the page and the deed in its headline follow the run that the search judged."""
     monkeypatch.setattr(takeovers, "latest", lambda trace, take_over: seconds)
     run = Run(leader_stops_dead(), take_over=TakingOver(pafot.Highway()))
     seen = seen_of(run.trace)
-    view = Viewed(seen=seen, view=finding_view(replace(seen, observed=replace(seen.observed, run=run))))
+    view = Viewed(
+        seen=seen, view=finding_view(replace(seen, observed=replace(seen.observed, run=run)))
+    )
     assert run.responsibility == responsible
     assert view.sentences == run.sentences
     assert view.sentences[-1].endswith(f" responsible. {takeovers.sentence(seconds)}")
@@ -182,12 +226,19 @@ class MovingLeft(ControlledVehicle):
 
 def test_page_says_when_a_lane_change_started_as_the_terminal_does():
     world = pafot.World("highway-v0", duration=15.0)
-    trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
+    trace = world.rollout(
+        scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft
+    )
     assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
-    view, (moved, *others) = view_of(trace, finding_of(trace, world=world.to_dict())), Run(trace).sentences
+    view, (moved, *others) = (
+        view_of(trace, finding_of(trace, world=world.to_dict())),
+        Run(trace).sentences,
+    )
     assert moved.startswith("The ego moved into lane 0 at 0.1 s, ")
     # It moves from the first tick.
-    assert view.deed == f"The ego began to change lanes at 0.0 s and {moved.removeprefix('The ego ')}"
+    assert (
+        view.deed == f"The ego began to change lanes at 0.0 s and {moved.removeprefix('The ego ')}"
+    )
     assert view.sentences == (view.deed, *others)
     assert not any(moved in words for words in words_of(view))  # each fact once
 
@@ -226,10 +277,14 @@ DISCRETE = {"kind": "gym", "config": {"action": {"type": "DiscreteMetaAction"}}}
     ({}, ((-3.0, 0.0),) * 2 + ((1.04, -0.021),), [(0.0, 0.4, "-3.0 m/s^2"), (0.4, 9.9, "1.0 m/s^2, -0.02 rad")]),
     ({}, (), []),
 ])  # fmt: skip
-def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_action(world, actions, shown):
+def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_action(
+    world, actions, shown
+):
     trace = replace(braking_ahead(), actions=actions)
     view = view_of(trace, finding_of(trace, world=world))
-    assert list(view.decisions) == [(start, min(end, view.times[-1]), words) for start, end, words in shown]
+    assert list(view.decisions) == [
+        (start, min(end, view.times[-1]), words) for start, end, words in shown
+    ]
 
 
 @pytest.mark.parametrize(("failure", "shown"), [
@@ -239,6 +294,8 @@ def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_acti
 ])  # fmt: skip
 def test_a_view_says_what_failed(failure, shown):
     finding = finding_of(cut_in_trace())
-    expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)
+    expect = replace(
+        finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message
+    )
     view = view_of(cut_in_trace(), replace(finding, expect=expect))
     assert view.assertion == shown

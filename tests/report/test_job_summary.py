@@ -21,13 +21,22 @@ from tests.report.builders import session_of
 
 
 def finding(id_="a", label="new", finding=None, **changes):
-    known = {"headline": "collision after 5.4 s", "path": f"corpus/{id_}.pafot.yaml", "label": label}
+    known = {
+        "headline": "collision after 5.4 s",
+        "path": f"corpus/{id_}.pafot.yaml",
+        "label": label,
+    }
     known["node_id"] = f"test_it.py::x[saved-{id_}]"
     return sighting(id_, finding={"test": "test_it.py::x"} | (finding or {}), **known | changes)
 
 
 def search(runs=40, **changes):
-    known = {"reason": Ending.RUNS, "kinds": Counter(passed=runs), "asked": {"runs": 40}, "base_seed": 5}
+    known = {
+        "reason": Ending.RUNS,
+        "kinds": Counter(passed=runs),
+        "asked": {"runs": 40},
+        "base_seed": 5,
+    }
     return Search(node_id="test_it.py::x[search]", **known | changes)
 
 
@@ -41,7 +50,11 @@ def test_unrelated_session_has_no_job_summary():
 
 
 def test_findings_are_counted_and_listed_with_replay_command(snapshot):
-    seen = [finding("c", "fixed", headline="", searched=40), finding("b", "still failing"), finding()]
+    seen = [
+        finding("c", "fixed", headline="", searched=40),
+        finding("b", "still failing"),
+        finding(),
+    ]
     assert told(*seen, searches=[search(finds=(seen[2],))]) == snapshot
 
 
@@ -57,7 +70,9 @@ def test_worst_finding_comes_first_in_each_group():
         finding("c"),
         finding("d", severity=hits(30.0), responsible="npc"),
         finding("e", severity=hits(9.8), responsible="ego"),
-        finding("f", "still failing", severity=hits(12.1), before=hits(8.0), reference_passes=False),
+        finding(
+            "f", "still failing", severity=hits(12.1), before=hits(8.0), reference_passes=False
+        ),
     ]
     for some, order in (([*findings[:4], *findings[5:]], "bdacf"), (findings[1:], "ebdcf")):
         text = told(*some)
@@ -71,8 +86,12 @@ def test_job_summary_without_findings_has_two_lines(snapshot):
 
 
 def test_accepted_finding_comes_with_reason_and_last_day():
-    text = told(finding(label="accepted", finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}))
-    assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
+    text = told(
+        finding(label="accepted", finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})
+    )
+    assert text.startswith(
+        "### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n"
+    )
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
 
 
@@ -101,7 +120,10 @@ def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted(snapsh
 def test_a_failure_comes_with_its_sentences_and_the_decision(snapshot):
     sentences = ("NPC 0 braked at up to 8.0 m/s^2.", "The ego is responsible.")
     moment = Moment(time=4.2, npc=0, seen="9.9 m ahead", action="acceleration 0.3 m/s^2")
-    assert told(finding("a", sentences=sentences, moment=moment), finding("b", moment=moment)) == snapshot
+    assert (
+        told(finding("a", sentences=sentences, moment=moment), finding("b", moment=moment))
+        == snapshot
+    )
 
 
 def test_job_summary_says_how_many_random_scenarios_failed():
@@ -145,6 +167,8 @@ def test_code_is_fenced_by_enough_backticks(text, expected):
 def test_no_text_ends_its_line_or_opens_tag(text):
     for shown in (plain(text), code(text)):
         assert len(shown.splitlines()) <= 1
-    assert not re.search("[<>]", plain(text).replace("<span>$</span>", ""))  # the one tag, which keeps $ from math
+    assert not re.search(
+        "[<>]", plain(text).replace("<span>$</span>", "")
+    )  # the one tag, which keeps $ from math
     fence = re.match("`+", code(text))[0]
     assert code(text).count(fence) == 2

@@ -9,7 +9,11 @@ from pytest_pafot.model.scenario import Scenario
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import view_of
 
-IN_LANES = (LaneInstruction("right", 25.0), LaneInstruction("keep", 8.0), LaneInstruction("left", 8.0))
+IN_LANES = (
+    LaneInstruction("right", 25.0),
+    LaneInstruction("keep", 8.0),
+    LaneInstruction("left", 8.0),
+)
 ON_GRID = (PositionInstruction(2, 20.0), PositionInstruction(3, 20.0))
 
 

@@ -14,7 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import AdsError, Outcome
-from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, data_json, finding_article, finding_list
+from pytest_pafot.report.page import (
+    ASSETS,
+    DRAWN,
+    SCRIPTS,
+    data_json,
+    finding_article,
+    finding_list,
+)
 from pytest_pafot.searches.events import Ending, Search
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.traces import trace_of, vehicle
@@ -66,9 +73,14 @@ def test_the_page_is_always_the_same_and_refers_to_nothing_outside_itself(page):
     without_time = re.compile(r"[\d-]+ [\d:]+ UTC")
     assert without_time.sub("", real_page()) == without_time.sub("", page)
     reader = Reader(page)
-    assert not {"link", "img", "iframe", "object", "embed", "base"} & {tag for tag, _ in reader.tags}
+    assert not {"link", "img", "iframe", "object", "embed", "base"} & {
+        tag for tag, _ in reader.tags
+    }
     addresses = [
-        value for _, attrs in reader.tags for name, value in attrs.items() if name in ("src", "href", "action")
+        value
+        for _, attrs in reader.tags
+        for name, value in attrs.items()
+        if name in ("src", "href", "action")
     ]
     assert all(address.startswith("#") for address in addresses)
     outside = set(re.findall(r"https?://[^\s\"'<]+", page)) - {"http://www.w3.org/2000/svg"}
@@ -79,7 +91,9 @@ def test_the_page_is_always_the_same_and_refers_to_nothing_outside_itself(page):
 def test_page_allows_own_style_and_script_without_connection(page):
     reader = Reader(page)
     policy = next(
-        attrs["content"] for tag, attrs in reader.tags if attrs.get("http-equiv") == "Content-Security-Policy"
+        attrs["content"]
+        for tag, attrs in reader.tags
+        if attrs.get("http-equiv") == "Content-Security-Policy"
     )
 
     def hash_of(text):
@@ -93,7 +107,12 @@ def test_page_allows_own_style_and_script_without_connection(page):
 def test_everything_in_words_is_there_without_scripts(page):
     words = " ".join(Reader(page).words)
     for finding in real_views():
-        for part in (finding.seen.id, finding.headline, finding.yaml, "pytest --pafot-generations=8"):
+        for part in (
+            finding.seen.id,
+            finding.headline,
+            finding.yaml,
+            "pytest --pafot-generations=8",
+        ):
             assert part in words
     assert "45 none, 3 ego, 2 npc" in words
     assert any(f"{who} at fault" in words for who in ("ego", "both"))
@@ -104,9 +123,14 @@ def test_page_data_have_what_the_scripts_read_and_nothing_else(page):
     scripts = "".join(files(ASSETS).joinpath(name).read_text() for name in SCRIPTS)
     for told, finding in zip(data, real_views(), strict=True):
         assert told == {name: json.loads(json.dumps(finding.view[name])) for name in DRAWN}
-    read = {*re.findall(r"\bfinding\??\.(\w+)", scripts), *re.findall(r"\bfindings\[\w+\]\.(\w+)", scripts)}
+    read = {
+        *re.findall(r"\bfinding\??\.(\w+)", scripts),
+        *re.findall(r"\bfindings\[\w+\]\.(\w+)", scripts),
+    }
     read |= {
-        name for names in re.findall(r"const \{([^}]*)\} = (?:this\.)?finding;", scripts) for name in names.split(", ")
+        name
+        for names in re.findall(r"const \{([^}]*)\} = (?:this\.)?finding;", scripts)
+        for name in names.split(", ")
     }
     assert {each.strip() for each in read} == set(DRAWN)
 
@@ -148,7 +172,10 @@ def test_an_empty_report_says_that_nothing_was_found_in_below_100_kilobytes():
 
 def test_minute_with_two_npcs_takes_below_65_kilobytes():
     ticks = 900
-    lanes = [vehicle(x, y, speed=21.37, ticks=ticks) for x, y in ((0.123, 4.0), (31.77, 0.0), (-52.3, 8.0))]
+    lanes = [
+        vehicle(x, y, speed=21.37, ticks=ticks)
+        for x, y in ((0.123, 4.0), (31.77, 0.0), (-52.3, 8.0))
+    ]
     trace = trace_of(*lanes, scenario=scenario([(1, 20.3)] * 6, [(4, 7.7)] * 6))
     assert trace.duration == 60
     views = [as_seen(view_of(trace), finding={"id": id_}) for id_ in ("a", "b")]
@@ -168,7 +195,11 @@ def test_conditions_stand_below_the_vehicle_that_they_are_about():
     groups = (("NPC 0", ("line 1: a < b  (a = 1)", "line 2")), ("", ("line 3",)))
     finding = real_views()[0].changed(moment=(("The moment", "At 3 s.", groups),))
     article = finding_article(finding, 0)
-    assert article.index('<p class="sentence deed">') < article.index("The moment") < article.index('class="player"')
+    assert (
+        article.index('<p class="sentence deed">')
+        < article.index("The moment")
+        < article.index('class="player"')
+    )
     assert (
         "<b>The moment.</b> At 3\u00a0s.</p>"
         "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1)</code></li><li><code>line 2</code></li></ul>"
@@ -178,7 +209,10 @@ def test_conditions_stand_below_the_vehicle_that_they_are_about():
 
 def test_an_error_of_the_policy_is_the_egos():
     error = AdsError(
-        kind="ValueError", message="no plan", traceback="Traceback:\n  line 3\nValueError: no plan", tick=30
+        kind="ValueError",
+        message="no plan",
+        traceback="Traceback:\n  line 3\nValueError: no plan",
+        tick=30,
     )
     trace = replace(cut_in_trace(), outcome=Outcome.ADS_ERROR, collision=None, error=error)
     finding = finding_of(trace)
@@ -191,8 +225,13 @@ def test_an_error_of_the_policy_is_the_egos():
 
 def test_page_shows_errors_without_a_finding():
     failed = Search(node_id="t.py::test_c[search]", reason=Ending.ERROR)
-    failures = {("t.py::test_c[search]", "call"): "E   ValueError: no <plan>", ("t.py::test_d", "setup"): "x"}
+    failures = {
+        ("t.py::test_c[search]", "call"): "E   ValueError: no <plan>",
+        ("t.py::test_d", "setup"): "x",
+    }
     page = page_of(searches=(failed,), failures=failures)
-    assert "<p>The search ended with an error.</p><pre>E   ValueError: no &lt;plan&gt;</pre>" in page
+    assert (
+        "<p>The search ended with an error.</p><pre>E   ValueError: no &lt;plan&gt;</pre>" in page
+    )
     assert "It failed, but no finding on this page explains why." in page
     assert "No findings, but an error ended a test or a search early." in page

@@ -24,7 +24,9 @@ CHROMIUM = find_chromium()
 
 pytestmark = [
     pytest.mark.processes,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: expected chromium or google-chrome on PATH"),
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no Chromium here: expected chromium or google-chrome on PATH"
+    ),
 ]
 
 TIME = "Number(document.querySelector('article.current .player').dataset.time)"
@@ -33,8 +35,12 @@ IS_PLAYING = "document.querySelector('article.current .play').textContent === 'P
 SCRUBBER = "article.current input[type=range]"
 BUTTON = "article.current .controls button"
 CALM = [("prefers-reduced-motion", "reduce")]
-IMPACT = "document.querySelector('article.current .impact').parentElement.getAttribute('visibility')"
-EGO_WIDTH = "document.querySelector('article.current .stage .ego-body').getBoundingClientRect().width"
+IMPACT = (
+    "document.querySelector('article.current .impact').parentElement.getAttribute('visibility')"
+)
+EGO_WIDTH = (
+    "document.querySelector('article.current .stage .ego-body').getBoundingClientRect().width"
+)
 CLOCK = (
     "let now = 0, due = []; window.requestAnimationFrame = each => due.push(each);"
     "window.cancelAnimationFrame = () => { due = []; };"
@@ -91,8 +97,15 @@ def go(page, finding, time):
 
 def test_first_finding_is_drawn_at_its_event_if_motion_is_unwelcome(page):
     assert page.evaluate("document.title") == "t: 2 findings"
-    assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3
-    assert page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
+    assert (
+        page.evaluate(
+            "document.querySelectorAll('article.current .stage svg [data-vehicle]').length"
+        )
+        == 3
+    )
+    assert (
+        page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
+    )
     assert page.evaluate(CURRENT) == 0
     assert page.evaluate(TIME) == pytest.approx(real_views()[0].event.time, abs=0.001)
     assert page.evaluate(IMPACT) == "visible"
@@ -105,7 +118,9 @@ def test_a_finding_opens_a_second_before_its_event_and_plays_once(opened):
     assert event - 1.001 <= page.evaluate(TIME) <= event
     page.until(f"{TIME} === {event}")
     assert page.evaluate(IMPACT) == "visible"
-    assert page.evaluate("location.hash") == f"#finding={real_views()[0].seen.id}"  # so that a reload plays it again
+    assert (
+        page.evaluate("location.hash") == f"#finding={real_views()[0].seen.id}"
+    )  # so that a reload plays it again
     page.evaluate(CLOCK)
     page.press("j")
     second = real_views()[1].event.time
@@ -123,7 +138,15 @@ def test_a_finding_opens_a_second_before_its_event_and_plays_once(opened):
 def test_failed_check_opens_at_its_moment_with_its_curve(opened):
     finding = real_views()[0]
     values = tuple(30.0 if time > 3 else 1.0 for time in finding.times)
-    check = {"name": "jerk", "unit": "m/s^3", "value": 35.1, "at_most": 20.0, "at_least": None, "time": 3.4, "low": 0.0}
+    check = {
+        "name": "jerk",
+        "unit": "m/s^3",
+        "value": 35.1,
+        "at_most": 20.0,
+        "at_least": None,
+        "time": 3.4,
+        "low": 0.0,
+    }
     check |= {"values": values, "high": 40.0, "is_cut": (False, False), "broken": ((3.2, 4.0),)}
     page = opened(page_of(finding.changed(check=check)), media=CALM)
     assert page.evaluate(TIME) == 3.4
@@ -138,7 +161,10 @@ def test_links_and_the_address_name_finding_and_time(opened):
     first, second = real_views()
     page = opened(fragment=f"#finding={second.seen.id}&t=2.5")
     assert (page.evaluate(CURRENT), page.evaluate(TIME)) == (1, 2.5)
-    assert page.evaluate("document.querySelector('#list a[aria-current=true] .id').textContent") == second.seen.id
+    assert (
+        page.evaluate("document.querySelector('#list a[aria-current=true] .id').textContent")
+        == second.seen.id
+    )
     page.evaluate(f"document.querySelector('#list a[data-key=\"{first.seen.id}\"]').click()")
     page.until(f"{CURRENT} === 0")
     page.press("Home")
@@ -203,7 +229,9 @@ def test_each_control_does_what_it_says(page):
     page.until(f"{TIME} > {middle}")
     page.click(SCRUBBER, 0.25)  # pauses there
     assert not page.evaluate(IS_PLAYING)
-    assert page.evaluate(TIME) == pytest.approx(finding.times[-1] / 4, abs=0.3)  # the knob has a width
+    assert page.evaluate(TIME) == pytest.approx(
+        finding.times[-1] / 4, abs=0.3
+    )  # the knob has a width
     page.click(f"{BUTTON}:not(.play)")
     assert page.evaluate(TIME) == pytest.approx(finding.event.time, abs=0.001)
     page.click("article.current .charts svg", 0.5)
@@ -256,7 +284,9 @@ def test_vehicles_are_drawn_between_the_places_of_two_frames(opened, name):
         shown = page.evaluate(TIME)
         for place, view in zip(drawn, finding.vehicles, strict=True):
             tracks = (np.array(track, dtype=float) for track in (view.along, view.across))
-            assert place == pytest.approx([np.interp(shown, finding.times, track) for track in tracks], abs=0.02)
+            assert place == pytest.approx(
+                [np.interp(shown, finding.times, track) for track in tracks], abs=0.02
+            )
     shapes = page.evaluate("document.querySelectorAll('article.current .lane-ground').length")
     assert shapes == len(finding.road.shapes)
 
@@ -269,14 +299,21 @@ def test_vehicles_are_drawn_between_the_places_of_two_frames(opened, name):
     ("lanes", 13.0, "12345678", "1"),
     ("bend", 1.0, "", ""),
 ])  # fmt: skip
-def test_cells_of_lanes_that_exist_are_drawn_and_targets_until_they_are_reached(opened, name, time, cells, targets):
+def test_cells_of_lanes_that_exist_are_drawn_and_targets_until_they_are_reached(
+    opened, name, time, cells, targets
+):
     finding = VIEWS[name]()
     page = opened(page_of(finding))
     go(page, finding, time)
     for kind, wanted in (("cell", cells), ("target", targets)):
         rects = f"[...document.querySelectorAll('article.current rect.{kind}')]"
-        visible = page.evaluate(f"{rects}.map(each => each.getAttribute('visibility') === 'visible')")
-        assert "".join(str(number) for number, is_visible in enumerate(visible, 1) if is_visible) == wanted
+        visible = page.evaluate(
+            f"{rects}.map(each => each.getAttribute('visibility') === 'visible')"
+        )
+        assert (
+            "".join(str(number) for number, is_visible in enumerate(visible, 1) if is_visible)
+            == wanted
+        )
 
 
 def test_hostile_text_is_shown_and_never_run(opened):
@@ -301,7 +338,9 @@ def test_nothing_is_wider_than_the_window_and_no_word_is_split(opened, text):
     page = opened(text())
     for width in (320, 360, 390, 600, 641, 768, 901, 1024, 1280, 1920, 2200, 500):
         page.resize(width)
-        page.until(f"document.querySelector('article.current .stage svg').getBoundingClientRect().width <= {width}")
+        page.until(
+            f"document.querySelector('article.current .stage svg').getBoundingClientRect().width <= {width}"
+        )
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert (width, page.evaluate(SPLIT)) == (width, [])
 
@@ -338,7 +377,9 @@ def test_copy_button_says_what_it_did(page):
 
 def test_dark_and_light_differ(opened):
     colours = {
-        opened(media=[("prefers-color-scheme", scheme)]).evaluate("getComputedStyle(document.body).backgroundColor")
+        opened(media=[("prefers-color-scheme", scheme)]).evaluate(
+            "getComputedStyle(document.body).backgroundColor"
+        )
         for scheme in ("light", "dark")
     }
     assert len(colours) == 2

@@ -25,7 +25,9 @@ def test_npcs_arrive_at_the_distance_of_their_cells_in_any_traffic(style):
     chains = [(8, 24.0), (1, 24.0), (2, 24.0)], [(4, 24.0), (5, 24.0), (6, 24.0)]
     trace = Highway().rollout(scenario(*chains, ego_speed=24.0, traffic=style), constant_speed)
     road, (ego, *npcs) = view_of(trace).road, trace.states.swapaxes(0, 1)
-    for npc, (least, start, seconds), row in zip((0, 1), (road.ahead, road.behind), (1, -1), strict=True):
+    for npc, (least, start, seconds), row in zip(
+        (0, 1), (road.ahead, road.behind), (1, -1), strict=True
+    ):
         tick = trace.arrivals[npc][2]
         place = LENGTH + max(road.clearance, least, start + seconds * ego[tick, 3])
         assert npcs[npc][tick, 0] - ego[tick, 0] == pytest.approx(row * place, abs=2.6)

@@ -48,7 +48,11 @@ def test_every_record_is_read_as_it_was_written(search, finding, warning, proble
     assert (record.warnings, record.problems) == ([warning], [problem])
     (told,) = record.searches
     assert (told.node_id, told.seed, told.reached) == (search.node_id, search.seed, search.reached)
-    assert (told.kinds, told.known, told.warnings) == (search.kinds, search.known, list(search.warnings))
+    assert (told.kinds, told.known, told.warnings) == (
+        search.kinds,
+        search.known,
+        list(search.warnings),
+    )
     assert (told.finds, told.runs) == (["a", "A_b.c-d"], search.runs)
     assert [each.signature for each in record.findings] == [finding.signature.told]
 
@@ -76,7 +80,11 @@ def test_keys_are_sorted_and_include_the_version():
 
 
 def test_a_finding_tells_what_its_file_does():
-    seen = sighting(finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}, label="fixed", path="a b.yaml")
+    seen = sighting(
+        finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)},
+        label="fixed",
+        path="a b.yaml",
+    )
     entry, expect = finding_entry(seen), seen.finding.expect
     assert (entry["id"], entry["test"], entry["time"]) == (seen.id, seen.finding.test, expect.time)
     assert (entry["outcome"], entry["responsible"]) == ("collision", "ego")
@@ -89,8 +97,15 @@ def test_a_finding_tells_how_often_it_fails_then_and_now():
     then, now = FailureRate(failing=7), FailureRate(failing=2)
     entry = finding_entry(sighting(finding={"rate": then}))
     assert entry["rate"] == {"failing": 7, "runs": 10, "of": "seeds", "now": None}
-    entry = finding_entry(sighting(finding={"rate": then, "flaky": "it differs"}, label="drifted", rate=now))
-    assert entry["rate"] == {"failing": 7, "runs": 10, "of": "runs", "now": {"failing": 2, "runs": 10}}
+    entry = finding_entry(
+        sighting(finding={"rate": then, "flaky": "it differs"}, label="drifted", rate=now)
+    )
+    assert entry["rate"] == {
+        "failing": 7,
+        "runs": 10,
+        "of": "runs",
+        "now": {"failing": 2, "runs": 10},
+    }
     assert finding_entry(sighting())["rate"] is None
 
 
@@ -125,7 +140,9 @@ def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
     assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).worst == ""
     assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
     assert seen.impacts == ", closing at 3.0 to 14.2 m/s"
-    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(Search(node_id="t", finds=(seen,)), width=99)
+    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(
+        Search(node_id="t", finds=(seen,)), width=99
+    )
     assert f"<li>{seen.worst}</li>" in finding_article(
         as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike), 0
     )

@@ -23,7 +23,9 @@ RANKED = [
 
 def seen(place, label, responsible, repeats, closing):
     severity = None if closing is None else Severity(kind="collision", value=closing, unit="m/s")
-    return sighting(f"a{place}", label=label, responsible=responsible, repeats=repeats, severity=severity)
+    return sighting(
+        f"a{place}", label=label, responsible=responsible, repeats=repeats, severity=severity
+    )
 
 
 @table("order", [1, -1])
@@ -34,14 +36,20 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(order):
 
 def test_findings_of_each_test_are_together_under_its_name_the_worst_test_first():
     named = (("b[x]", "one"), ("a", "two"), ("b[x]", "other"))
-    views = [as_seen(real_views()[0], finding={"test": test, "id": "1"}, node_id=node_id) for test, node_id in named]
+    views = [
+        as_seen(real_views()[0], finding={"test": test, "id": "1"}, node_id=node_id)
+        for test, node_id in named
+    ]
     listed = page_of(*views).partition("</nav>")[0]
     shown = re.findall(r'<h3>.*?</h3>|(?<=data-key=").*?(?=")', listed)
     assert shown == ["<h3>b[x]</h3>", "1", "1-2", "<h3>a</h3>", "1-3"]
 
 
 def test_facts_include_replay_labels_and_versions():
-    replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
+    replays = [
+        sighting(f"t{number}", label=label)
+        for number, label in enumerate(("fixed", "still failing", "fixed"))
+    ]
     facts = dict(session_facts([], replays))
     assert facts["replayed"] == "3 saved scenarios: 2 passed (not found again), 1 still failing"
     assert facts["passed (not found again)"] == "t[t2]: the failure did not occur in 40 runs"
@@ -51,7 +59,9 @@ def test_facts_include_replay_labels_and_versions():
 
 def test_further_finding_has_what_it_is_and_its_command(monkeypatch):
     monkeypatch.setattr("pytest_pafot.report.page.WHOLE", 2)
-    further = as_seen(real_views()[0], finding={"id": "z1"}, headline="hit <b>", path="a b.pafot.yaml")
+    further = as_seen(
+        real_views()[0], finding={"id": "z1"}, headline="hit <b>", path="a b.pafot.yaml"
+    )
     shown = page_of(*real_views(), further, failures={("t.py::t", "setup"): "x"})
     assert "<title>t: 1 error, 3 findings</title>" in shown
     assert "<h2>1 more finding</h2>" in shown

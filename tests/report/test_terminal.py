@@ -32,7 +32,10 @@ FIND = sighting(
 def named(id_, **seen):
     """Return the same finding by another id, and with more that was seen of it."""
     finding = replace(FIND.finding, id=id_, flaky=seen.pop("flaky", None))
-    return replace(FIND, **{"finding": finding, "node_id": f"tests/test_safety.py::test_it[saved-{id_}]"} | seen)
+    return replace(
+        FIND,
+        **{"finding": finding, "node_id": f"tests/test_safety.py::test_it[saved-{id_}]"} | seen,
+    )
 
 
 SEARCH = Search(
@@ -77,21 +80,38 @@ def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, li
 
 
 def test_another_traffic_is_reported():
-    original, scenario = (Scenario.repaired([[AHEAD]], traffic=each) for each in ("hostile", "paper"))
-    finding = plain_finding(scenario=scenario, shrunk=Shrunk(rollouts=5, before=described(original)))
+    original, scenario = (
+        Scenario.repaired([[AHEAD]], traffic=each) for each in ("hostile", "paper")
+    )
+    finding = plain_finding(
+        scenario=scenario, shrunk=Shrunk(rollouts=5, before=described(original))
+    )
     assert terminal.shrunk_lines(finding) == ["from hostile traffic to paper traffic"]
 
 
 def test_annotations_tell_the_worst_five_and_where_the_others_are():
-    hits = [Severity(kind="collision", value=float(speed), unit="m/s") for speed in (3, 8, 1, 9, 5, 7, 2)]
+    hits = [
+        Severity(kind="collision", value=float(speed), unit="m/s")
+        for speed in (3, 8, 1, 9, 5, 7, 2)
+    ]
     finds = [
-        sighting(f"at-{each.value:.0f}", node_id="a.py::t[x]", severity=each, headline="50 % hit", sentences=("Who.",))
+        sighting(
+            f"at-{each.value:.0f}",
+            node_id="a.py::t[x]",
+            severity=each,
+            headline="50 % hit",
+            sentences=("Who.",),
+        )
         for each in hits
     ]
     lines = terminal.annotation_lines(finds)
     assert lines[0] == "::error file=a.py,title=at-9::50 %25 hit.%0AWho."
-    assert [line.split("::")[1].partition("title=")[2] for line in lines[:5]] == [f"at-{n}" for n in (9, 8, 7, 5, 3)]
-    assert lines[5:] == ["::notice title=pafot::2 more findings: see `python -m pytest_pafot corpus list`"]
+    assert [line.split("::")[1].partition("title=")[2] for line in lines[:5]] == [
+        f"at-{n}" for n in (9, 8, 7, 5, 3)
+    ]
+    assert lines[5:] == [
+        "::notice title=pafot::2 more findings: see `python -m pytest_pafot corpus list`"
+    ]
     assert "see r%25.html among" in terminal.annotation_lines(finds, "r%.html")[-1]
     assert len(terminal.annotation_lines(finds[:5])) == 5
     assert terminal.annotation_lines([]) == []
@@ -123,13 +143,20 @@ def test_a_search_that_finds_nothing_has_one_line():
     assert "  3 to 6 NPCs in hostile traffic" in "\n".join(whole)
     many = [replace(quiet, node_id=f"t.py::test_{number}[search]") for number in range(500)]
     assert len(terminal.session_lines(session_of(searches=many))) == 1000
-    assert "\n".join(terminal.session_lines(session_of(searches=many), is_whole=True)).count("hostile traffic") == 1
+    assert (
+        "\n".join(terminal.session_lines(session_of(searches=many), is_whole=True)).count(
+            "hostile traffic"
+        )
+        == 1
+    )
 
 
 def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
     finds = tuple(named(f"front-2-{number}", alike=Alike(runs=number)) for number in range(6))
     random = Counter(runs=20, at_fault=3)
-    search = replace(SEARCH, finds=finds, warnings=(), notes=(), random=random, no_worse={"a": "hit"})
+    search = replace(
+        SEARCH, finds=finds, warnings=(), notes=(), random=random, no_worse={"a": "hit"}
+    )
     short, whole = (terminal.search_lines(search, is_whole=is_whole) for is_whole in (False, True))
     assert len(short) <= 8 + 2  # the first line and that on failures elsewhere are wrapped
     assert "  5 more kinds of failures." in short
@@ -140,15 +167,24 @@ def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
     assert "  5 of these runs had no interaction." in whole
     assert "  NPCs reached 63 % of their goals." in whole
     assert "  Algorithm: pafot, with seed 4154884243 from --pafot-seed=3." in whole
-    assert not {"interaction.", "reached", "Algorithm:"} & {word for line in short for word in line.split()}
+    assert not {"interaction.", "reached", "Algorithm:"} & {
+        word for line in short for word in line.split()
+    }
 
 
 def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
-    search = replace(SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4))
+    search = replace(
+        SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4)
+    )
     lines = terminal.search_lines(search)
-    assert "1 skipped), 7 more to analyse failures and 12,280 decisions took" in " ".join(map(str.strip, lines))
+    assert "1 skipped), 7 more to analyse failures and 12,280 decisions took" in " ".join(
+        map(str.strip, lines)
+    )
     cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
-    assert "  The search ended early, after 48 of 100 runs, because it was interrupted." in terminal.search_lines(cut)
+    assert (
+        "  The search ended early, after 48 of 100 runs, because it was interrupted."
+        in terminal.search_lines(cut)
+    )
 
 
 @pytest.mark.parametrize("reason", [each for each in Ending if not each.is_complete])
@@ -191,12 +227,16 @@ def test_the_failure_of_a_search_reads_so(snapshot):
 
 
 def test_progress_is_one_line_with_the_name_cut():
-    progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
+    progress = Progress(
+        node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0
+    )
     line = terminal.progress_line(progress)
     assert len(line) <= 80
     assert line.startswith("pafot: ...xxx")
     assert line.endswith("3/100 generations, 9 runs, 2 failed, 1 new, 3 runs/s")
-    assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failed, 1 new, 13 s per run")
+    assert terminal.progress_line(replace(progress, seconds=120.0)).endswith(
+        "2 failed, 1 new, 13 s per run"
+    )
     narrow = terminal.progress_line(progress, 39)
     assert (len(narrow), narrow.endswith("xxx 3/100 generations, ")) == (39, True)
     after = "shrinking saved-front-2-1f3a9c, run 3 of at most 300"
@@ -233,11 +273,18 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
 
 def test_a_replay_says_what_was_driven_and_what_the_search_found(snapshot):
     passes = replace(sighting("saved-a", label="passes"), test="t")
-    searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, kinds=Counter(passed=297, invalid=3))}
+    searches = {
+        "t": replace(
+            SEARCH, node_id="t[search]", reason=Ending.RUNS, kinds=Counter(passed=297, invalid=3)
+        )
+    }
     other = {"t": replace(searches["t"], failures=(("hit-2", passes.finding.signature),))}
     cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
     drawn, some = ({"t": replace(searches["t"], random=Counter(runs=runs))} for runs in (297, 20))
-    shown = [terminal.replay_lines([concluded(passes, each)], 200) for each in ({}, searches, other, cut, drawn, some)]
+    shown = [
+        terminal.replay_lines([concluded(passes, each)], 200)
+        for each in ({}, searches, other, cut, drawn, some)
+    ]
     assert ["\n".join(lines[1:]) for lines in shown] == snapshot
     failing = replace(sighting("saved-a", label="still failing"), test="t")
     assert concluded(failing, other) is failing
@@ -259,5 +306,7 @@ def test_lines_are_wrapped_to_the_terminal_width(width):
     *((f"  one two {kept} andsoon", 13, "", ["  one two", f"    {kept}", "    andsoon"])
       for kept in ("37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,")),
 ])  # fmt: skip
-def test_lines_are_wrapped_between_words_and_keep_their_mark_and_indentation(line, width, prefix, lines):
+def test_lines_are_wrapped_between_words_and_keep_their_mark_and_indentation(
+    line, width, prefix, lines
+):
     assert wrapped_to(line, width, prefix) == lines

@@ -52,7 +52,9 @@ def made_again():
 
 
 def test_between_equal_policies_there_is_nothing():
-    exploration = pafot.explore(constant_speed.make, against=made_again, holds=never_collides, **SHORT)
+    exploration = pafot.explore(
+        constant_speed.make, against=made_again, holds=never_collides, **SHORT
+    )
     assert exploration.findings == ()
     assert exploration.summary.kinds["common"] > exploration.summary.failing == 0
 
@@ -72,17 +74,25 @@ def test_copy_of_a_package_is_the_same_policy_unless_its_data_differ(tmp_path, m
         (tmp_path / package / "w.npz").write_text(str(package == "other_weights"))
     (tmp_path / "other_limits/limits.py").write_text("LIMIT = 2\n")
     now, *others = (
-        importlib.import_module(name).Planner for name in ("now_policy", "old_policy", "other_limits", "other_weights")
+        importlib.import_module(name).Planner
+        for name in ("now_policy", "old_policy", "other_limits", "other_weights")
     )
     assert [bool(same_policy(now, other)) for other in others] == [True, False, False]
-    assert not same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "new.zip"))
+    assert not same_policy(
+        functools.partial(now, "old.zip"), functools.partial(others[0], "new.zip")
+    )
     assert same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "old.zip"))
 
 
 def test_same_policy_with_another_sight_is_another():
     late, later = (functools.partial(pafot.Perception, latency=latency) for latency in (0.3, 0.4))
     others = (late(Breaks), later(Breaks), Breaks, late(CAREFUL))
-    assert [bool(same_policy(late(Breaks), other)) for other in others] == [True, False, False, False]
+    assert [bool(same_policy(late(Breaks), other)) for other in others] == [
+        True,
+        False,
+        False,
+        False,
+    ]
     assert same_policy(pafot.Perception(Breaks), Breaks)
 
 
@@ -103,7 +113,10 @@ def test_finding_fails_with_policy_and_passes_with_reference():
     assert exploration.findings
     for finding in exploration.findings:
         assert finding.shrunk.before
-        assert [collides(ads, finding.scenario) for ads in (constant_speed.make, CAREFUL)] == [True, False]
+        assert [collides(ads, finding.scenario) for ads in (constant_speed.make, CAREFUL)] == [
+            True,
+            False,
+        ]
         assert finding.expect.against == "pytest_pafot.world.reference_drivers:CarefulHuman"
 
 
@@ -111,8 +124,12 @@ def test_reference_runs_only_where_the_policy_fails(monkeypatch):
     monkeypatch.setattr(made_worse, "PAIRS", 1)
     reference = Counted()
     given = {**SHORT, "shrink_runs": 0}
-    summary = pafot.explore(constant_speed.make, against=reference, holds=never_collides, **given).summary
-    again = 2 * len(summary.finds)  # each finding is run once more at the end, and once for its moment
+    summary = pafot.explore(
+        constant_speed.make, against=reference, holds=never_collides, **given
+    ).summary
+    again = 2 * len(
+        summary.finds
+    )  # each finding is run once more at the end, and once for its moment
     compared = summary.paired.runs
     assert reference.runs == summary.failing + summary.kinds["common"] + again + compared
     assert summary.failing + summary.kinds["common"] < summary.runs
@@ -129,7 +146,9 @@ def test_reference_failing_on_repeat_makes_finding_flaky(monkeypatch):
         on_event=told.append,
         **SHORT | {"stop_after": 1, "shrink_runs": 0},
     ).summary
-    assert [find.finding.flaky for find in summary.finds] == ["the reference failed when it ran again"]
+    assert [find.finding.flaky for find in summary.finds] == [
+        "the reference failed when it ran again"
+    ]
 
 
 @table("kind", ["passed", "npc", "failed", "rejected", "skipped", "invalid"])

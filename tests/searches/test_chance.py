@@ -35,7 +35,9 @@ class Brakes:
         return self.acceleration, 0.0
 
 
-OWN = random.Random(3)  # which nothing seeds, so it stands for os.urandom, but fails in the same way in each session
+OWN = random.Random(
+    3
+)  # which nothing seeds, so it stands for os.urandom, but fails in the same way in each session
 
 
 class Unrepeatable(Brakes):
@@ -89,8 +91,12 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_but_is_not_shrunk(tmp_pat
     assert told.finding.shrunk is None
 
 
-def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.searches.bench._difference_in_gym", lambda run, bench: "safe for 4.0 s")
+def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        "pytest_pafot.searches.bench._difference_in_gym", lambda run, bench: "safe for 4.0 s"
+    )
     told = found(Brakes, tmp_path)
     assert told.finding.flaky == "in highway-env's own environment: safe for 4.0 s"
     assert told.finding.rate is None
@@ -108,14 +114,18 @@ def test_a_replay_counts_failures(tmp_path, ads, then, share, expected, failing)
     assert label(now) == expected
     bound = r"(, so it occurs in at most 31 % of such seeds \(95 % confidence\))?"
     before = rf"failed (with|in) {then} of 10 (seeds|runs) when it was found"
-    assert re.fullmatch(rf"{before}, and now fails (with|in) {failing} of 10 (seeds|runs){bound}", now.note)
+    assert re.fullmatch(
+        rf"{before}, and now fails (with|in) {failing} of 10 (seeds|runs){bound}", now.note
+    )
     assert now.verdict.failed == (expected == "still failing")
 
 
 @pytest.mark.processes
 def test_isolation_and_workers_do_not_change_what_is_found(tmp_path):
     contents = set()
-    for number, options in enumerate(({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})):
+    for number, options in enumerate(
+        ({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})
+    ):
         told = found(Brakes, tmp_path / str(number), shrink_runs=3, **options)
         contents.add(Path(told.path).read_text())
         assert label(replayed(Brakes, tmp_path / str(number), **options)) == "still failing"

@@ -30,7 +30,13 @@ def no_collision(run):
 
 def explored(genes=2, **arguments):
     return pafot.explore(
-        constant_speed.make, holds=no_collision, seed=0, shrink_runs=0, gene_seconds=5.0, genes=genes, **arguments
+        constant_speed.make,
+        holds=no_collision,
+        seed=0,
+        shrink_runs=0,
+        gene_seconds=5.0,
+        genes=genes,
+        **arguments,
     )
 
 
@@ -38,7 +44,10 @@ def test_random_search_counts_all_valid_scenarios():
     found = explored(runs=40, genes=4, npcs=5)
     valid = [row for row in found.runs if row["verdict"] != "invalid"]
     at_fault = [row for row in valid if row["responsibility"] in ("ego", "both")]
-    assert (found.summary.random["at_fault"], found.summary.random["runs"]) == (len(at_fault), len(valid))
+    assert (found.summary.random["at_fault"], found.summary.random["runs"]) == (
+        len(at_fault),
+        len(valid),
+    )
     assert 0 < len(at_fault) < len(valid)
     told = " ".join(search_lines(found.summary))
     by_npcs = sum(row["responsibility"] == "npc" for row in valid)
@@ -58,14 +67,28 @@ def is_short(run):
 @pytest.mark.parametrize("holds", [is_smooth, is_short])
 def test_failed_check_without_collision_is_no_ego_fault(holds):
     found = pafot.explore(
-        constant_speed.make, holds=holds, seed=5, shrink_runs=0, gene_seconds=5.0, genes=2, blame="any", runs=20
+        constant_speed.make,
+        holds=holds,
+        seed=5,
+        shrink_runs=0,
+        gene_seconds=5.0,
+        genes=2,
+        blame="any",
+        runs=20,
     )
     runs = [row for row in found.runs if row["failing"]]
     collided = sum(row["outcome"] == "collision" and row["responsibility"] != "npc" for row in runs)
     assert found.summary.random["at_fault"] == collided
-    assert found.summary.random["otherwise"] == found.summary.random["checks"] == len(runs) - collided > 0
+    assert (
+        found.summary.random["otherwise"]
+        == found.summary.random["checks"]
+        == len(runs) - collided
+        > 0
+    )
     told = " ".join(search_lines(found.summary))
-    assert told.count(f" {len(runs)} of {found.summary.random['runs']} random scenarios failed: ") == 1
+    assert (
+        told.count(f" {len(runs)} of {found.summary.random['runs']} random scenarios failed: ") == 1
+    )
 
 
 def test_failures_before_their_turn_are_in_no_share(monkeypatch):
@@ -73,13 +96,19 @@ def test_failures_before_their_turn_are_in_no_share(monkeypatch):
     evaluation = replace(lost(trace_of(vehicle(0)).scenario, None).evaluation, discarded=False)
     early = Result(evaluation=evaluation, kind="failed", ended="collision", fails="ego")
     monkeypatch.setattr(Store, "add", lambda *given: "its id")
-    ((_, _, counts),) = Store(harness=None, seed=1, early={"its signature": (None, early, 7)}).settle(keeps=True)
+    ((_, _, counts),) = Store(
+        harness=None, seed=1, early={"its signature": (None, early, 7)}
+    ).settle(keeps=True)
     assert (counts.kinds["failed"], counts.fails.total()) == (1, 0)
 
 
 def test_early_stopped_search_gives_no_random_share():
     summary = explored(runs=40, stop_after=1).summary
-    assert (summary.random["at_fault"], summary.random["runs"], summary.random["otherwise"]) == (0, 0, 0)
+    assert (summary.random["at_fault"], summary.random["runs"], summary.random["otherwise"]) == (
+        0,
+        0,
+        0,
+    )
 
 
 def test_search_of_an_algorithm_that_breeds_gives_no_random_share():
@@ -94,11 +123,17 @@ def test_runs_are_counted_by_how_they_failed(kind, responsible, failure):
     verdict = Verdict(kind=kind, failure=Failure(kind=failure))
     harness = SimpleNamespace(run_of=partial(blamed_on, responsible), judge=lambda run: verdict)
     known = {signature_of_failure(blamed_on(responsible, crash), verdict.failure)}
-    counts = Counts.from_result(Examiner(harness=harness, fitness=lambda run: 0.0, seed=1)(crash, known))
+    counts = Counts.from_result(
+        Examiner(harness=harness, fitness=lambda run: 0.0, seed=1)(crash, known)
+    )
     is_failure = kind in ("failed", "common")
     how = "ego" if responsible == "ego" else "check" if failure == "CheckFailed" else "otherwise"
     assert counts.fails == ({} if kind == "rejected" else {how if is_failure else "": 1})
-    assert (counts.kinds, counts.outcomes, counts.responsibilities) == ({kind: 1}, {"collision": 1}, {responsible: 1})
+    assert (counts.kinds, counts.outcomes, counts.responsibilities) == (
+        {kind: 1},
+        {"collision": 1},
+        {responsible: 1},
+    )
 
 
 @given(st.lists(st.sampled_from(KINDS)), st.integers(0, 9))
@@ -115,9 +150,17 @@ def test_counts_of_parts_add_up_to_those_of_the_whole(kinds, cut):
     def result_of(kind):
         if kind == "lost":
             return lost(crash.scenario, ProcessLostError(crash.scenario, pid=7, how="died"))
-        signature = signature_of_failure(Run(crash), Failure(kind="AssertionError")) if kind == "failed" else None
-        evaluation = Evaluation.from_trace(crash, fitness=0.0, failing=kind == "failed", kind=signature)
-        return Result(evaluation=evaluation, kind=kind, ended="collision", responsible="npc", decisions=3)
+        signature = (
+            signature_of_failure(Run(crash), Failure(kind="AssertionError"))
+            if kind == "failed"
+            else None
+        )
+        evaluation = Evaluation.from_trace(
+            crash, fitness=0.0, failing=kind == "failed", kind=signature
+        )
+        return Result(
+            evaluation=evaluation, kind=kind, ended="collision", responsible="npc", decisions=3
+        )
 
     numbered = [*enumerate(map(result_of, kinds), 1)]
     whole, parts = counted(numbered), counted(numbered[:cut])
@@ -125,4 +168,6 @@ def test_counts_of_parts_add_up_to_those_of_the_whole(kinds, cut):
     assert parts == whole
     sums = {each.total() for each in (whole.kinds, whole.outcomes, whole.responsibilities)}
     assert sums == {len(kinds)} == {whole.runs} == {whole.health.simulated}
-    assert sum(each.runs for each in whole.failures.values()) == kinds.count("failed") + kinds.count("lost")
+    assert sum(each.runs for each in whole.failures.values()) == kinds.count(
+        "failed"
+    ) + kinds.count("lost")

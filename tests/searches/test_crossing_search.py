@@ -36,7 +36,9 @@ def corpus(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(corpus):
-    return pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), corpus=str(corpus), **RUNS)
+    return pafot.explore(
+        Steady, holds=holds, world=world_of("intersection-v0"), corpus=str(corpus), **RUNS
+    )
 
 
 def test_search_finds_collisions_from_several_sides(found):
@@ -88,6 +90,8 @@ def test_paper_search_stays_on_the_grid():
     def holds(run):
         kinds.add(bool(run.scenario.crossings))
 
-    found = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot")
+    found = pafot.explore(
+        Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot"
+    )
     assert kinds == {False}
     assert "shows nothing about such traffic" in " ".join(found.summary.notes)

@@ -22,7 +22,14 @@ pytestmark = [
 ]
 
 SESSION = os.getpid()
-SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22, "vehicles": "car"}
+SPACE = {
+    "npcs": 2,
+    "genes": 3,
+    "gene_seconds": 4,
+    "ego_lane": 1,
+    "ego_speed": 22,
+    "vehicles": "car",
+}
 STOP = 2  # findings, of which the last is in a chunk of another process
 RUNS = 98  # six chunks and a part of one
 ON_USE = re.compile("runs? in this process, the rest ran in workers|: not used, because a run took")
@@ -47,25 +54,51 @@ def holds(run):
 @pytest.fixture
 def searched(tmp_path, monkeypatch):
     """Return a function that searches in chunks of 16 runs, and tells all about it and where given chunks begin."""
-    monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")  # the session itself makes that run
+    monkeypatch.setattr(
+        bench, "_difference_in_gym", lambda run, bench: ""
+    )  # the session itself makes that run
     monkeypatch.setattr(scenarios, "chunk_size", lambda run_seconds, left, workers: min(16, left))
     given, task, note_of = [], scenarios.Chunk, run_table.note_of
-    monkeypatch.setattr(scenarios, "Chunk", lambda first, *more: given.append(first) or task(first, *more))
+    monkeypatch.setattr(
+        scenarios, "Chunk", lambda first, *more: given.append(first) or task(first, *more)
+    )
 
-    def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, has_table=True, **settings):
-        monkeypatch.setattr(run_table, "note_of", note_of if has_table else None)  # without one, runs are only counted
+    def search(
+        name,
+        *,
+        drives=False,
+        ads=keep,
+        test=holds,
+        runs=RUNS,
+        saves=True,
+        has_table=True,
+        **settings,
+    ):
+        monkeypatch.setattr(
+            run_table, "note_of", note_of if has_table else None
+        )  # without one, runs are only counted
         monkeypatch.setattr(scenarios, "WORTH_SECONDS", 0.0 if drives else math.inf)
         settings = SPACE | {"shrink_runs": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
-        found = explore.explore(lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings)
+        found = explore.explore(
+            lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings
+        )
         summary = found.summary
         texts = {each.name: each.read_text() for each in corpus.rglob("*.yaml")}
-        assert sum(summary.outcomes.values()) == sum(summary.responsibilities.values()) == summary.runs
+        assert (
+            sum(summary.outcomes.values()) == sum(summary.responsibilities.values()) == summary.runs
+        )
         counts = (summary.failing, summary.runs, summary.random["runs"], summary.random["at_fault"])
         return {
-            "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],
-            "events": [each for each in found.events if type(each).__module__ == "pytest_pafot.algorithms.evaluation"],
+            "rows": [
+                {name: value for name, value in row.items() if name != "run"} for row in found.runs
+            ],
+            "events": [
+                each
+                for each in found.events
+                if type(each).__module__ == "pytest_pafot.algorithms.evaluation"
+            ],
             "files": texts,
             "counts": (*counts, summary.outcomes, summary.responsibilities),
             "failures": dict(summary.failures),
@@ -110,7 +143,9 @@ def test_a_dead_process_costs_its_run_and_not_its_chunk(searched, monkeypatch):
     one_by_one, _ = searched("one by one", **given)
     assert any(name.startswith("crash") for name in one_by_one["files"])
     lost, lose = [], search.lose
-    monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
+    monkeypatch.setattr(
+        search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more)
+    )
     driven, numbers = searched("driven", drives=True, **given)
     assert numbers
     assert driven == one_by_one
@@ -136,7 +171,8 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
     assert numbers
     (note,) = found.pop("notes")
     assert re.search(
-        r"ended with exit code 3 while it ran scenarios \d+ to \d+ of the search, which succeeded when", note
+        r"ended with exit code 3 while it ran scenarios \d+ to \d+ of the search, which succeeded when",
+        note,
     )
     assert alone.pop("notes") == []
     assert found == alone
@@ -189,7 +225,9 @@ def saved_early(monkeypatch):
 
 def test_a_failure_of_a_later_chunk_is_saved_before_its_turn(searched, alone, saved_early):
     assert searched("early", drives=True, workers=2)[0] == alone
-    assert not {each.name for each in saved_early} <= {*alone["files"]}  # the first chunk has failures of their kinds
+    assert not {each.name for each in saved_early} <= {
+        *alone["files"]
+    }  # the first chunk has failures of their kinds
 
 
 def test_a_search_that_stops_at_its_findings_forgets_those_of_later_chunks(searched, saved_early):
@@ -199,7 +237,9 @@ def test_a_search_that_stops_at_its_findings_forgets_those_of_later_chunks(searc
     assert saved_early
 
 
-def test_a_failure_of_a_later_chunk_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):
+def test_a_failure_of_a_later_chunk_whose_file_cannot_be_removed_stays(
+    searched, saved_early, monkeypatch
+):
     unlink = Path.unlink
 
     def refuse(self, *given, **named):
@@ -246,13 +286,17 @@ def test_a_search_that_saves_nothing_counts_the_failures_of_later_chunks_when_it
 
 
 @pytest.mark.usefixtures("is_over_when_saved_early")
-def test_a_failure_of_a_later_chunk_that_is_not_repeated_is_flaky(searched, saved_early, monkeypatch):
+def test_a_failure_of_a_later_chunk_that_is_not_repeated_is_flaky(
+    searched, saved_early, monkeypatch
+):
     """The verdict before its turn is on the run of the other process. At this seed, its scenario is driven as drawn."""
 
     def elsewhere(observation):
         return (0.0 if os.getpid() == SESSION else -1.0), 0.0
 
-    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive chunks, however slow the machine is
+    monkeypatch.setattr(
+        runner, "DEAR", math.inf
+    )  # so that processes only drive chunks, however slow the machine is
 
     def drives_on(run):
         assert run.collision or run.ego.speed[-1] > 15
@@ -275,7 +319,9 @@ def test_what_the_test_function_judges_otherwise_in_the_session_is_flaky(searche
 
 
 @pytest.mark.parametrize("change", ["xfail: known\n", "no YAML: ["])
-def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, saved_early, monkeypatch, change):
+def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(
+    searched, saved_early, monkeypatch, change
+):
     add_early, changed = Store.add_early, {}
 
     def add(self, *given):
@@ -320,7 +366,9 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
 
     def ended():
         add_early = Store.add_early
-        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        monkeypatch.setattr(
+            Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end)
+        )
         search()
 
     session = multiprocessing.get_context("fork").Process(target=ended)
@@ -329,7 +377,9 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_a_session_that_is_killed_keeps_what_failed(searched, alone, saved_early, tmp_path, monkeypatch, end):
+def test_a_session_that_is_killed_keeps_what_failed(
+    searched, alone, saved_early, tmp_path, monkeypatch, end
+):
     given = {"drives": True, "workers": 2}
     end_when_something_is_saved_early(end, lambda: searched("parts", **given), monkeypatch)
     left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}

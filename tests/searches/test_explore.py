@@ -51,7 +51,12 @@ def corpus(tmp_path_factory):
 @pytest.fixture(scope="module")
 def exploration(heard, corpus):
     return pafot.explore(
-        constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, corpus=corpus, **SHORT
+        constant_speed.make,
+        holds=never_collides,
+        seed=5,
+        on_event=heard.append,
+        corpus=corpus,
+        **SHORT,
     )
 
 
@@ -82,8 +87,15 @@ def test_its_findings_show_what_the_property_forbids(exploration):
 
 
 def test_table_has_a_row_for_each_tried_scenario(exploration):
-    assert len(exploration.runs) == exploration.summary.runs + exploration.summary.more_runs["known"] == 8
-    assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
+    assert (
+        len(exploration.runs)
+        == exploration.summary.runs + exploration.summary.more_runs["known"]
+        == 8
+    )
+    assert (
+        sum(row["failing"] for row in exploration.runs if not row["reused"])
+        == exploration.summary.failing
+    )
     simulated = [row["outcome"] for row in exploration.runs if not row["reused"]]
     assert exploration.summary.outcomes == Counter(simulated)
     assert sum(exploration.summary.responsibilities.values()) == len(simulated)
@@ -139,13 +151,17 @@ def test_an_interrupt_between_two_events_does_not_cost_the_summary(monkeypatch):
 
     monkeypatch.setattr(Events, "__next__", next_or_interrupt)
     with pytest.raises(KeyboardInterrupt):
-        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT)
+        pafot.explore(
+            constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT
+        )
     assert (type(heard[-1]), heard[-1].reason, heard[-1].runs) == (Search, "interrupted", 1)
 
 
 def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
     given = {"ads": constant_speed.make, "world": None, "seed": 5, "corpus": str(tmp_path), **SHORT}
-    replays = explore.replays_of(explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path)
+    replays = explore.replays_of(
+        explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path
+    )
     with prepared(replays.harness) as parts:
         watch = parts.watch("test_it.py::test_it", math.inf, progress_seconds=math.inf)
         happens = SearchSession(watch=watch, replays=replays).run()
@@ -158,16 +174,23 @@ def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
 
 def test_search_without_corpus_writes_nothing_but_finds_same(exploration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings == exploration.findings
+    assert (
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings
+        == exploration.findings
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 def test_corpus_content_is_known_to_the_next_search(exploration, corpus, tmp_path, monkeypatch):
     files = sorted(corpus.rglob("*.pafot.yaml"))
-    assert [pafot.load(file).finding for file in files] == sorted(exploration.findings, key=lambda finding: finding.id)
+    assert [pafot.load(file).finding for file in files] == sorted(
+        exploration.findings, key=lambda finding: finding.id
+    )
     shutil.copytree(corpus, tmp_path / "saved")
     monkeypatch.chdir(tmp_path)  # a corpus is a folder below the search's working directory
-    again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
+    again = pafot.explore(
+        constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT
+    )
     assert again.findings == ()
     assert sum(again.summary.known.values()) == again.summary.failing
 
@@ -182,8 +205,13 @@ def test_search_notes_once_which_traffic_is_missing():
         "at merge-v0, all NPCs drive along the ego's path and none joins it, so the search shows nothing about such "
         "traffic",
     )
-    (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # this algorithm needs the grid
-    assert "at intersection-v0, all NPCs drive along the ego's path and none crosses it or joins it, " in note
+    (note,) = notes(
+        pafot.World("intersection-v0", duration=2.0), algorithm="pafot"
+    )  # this algorithm needs the grid
+    assert (
+        "at intersection-v0, all NPCs drive along the ego's path and none crosses it or joins it, "
+        in note
+    )
     assert notes(pafot.World("highway-fast-v0", duration=2.0)) == ()
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
 
@@ -196,7 +224,13 @@ def test_search_names_once_the_options_that_have_no_effect():
         world = pafot.World("highway-fast-v0", config=config, duration=2.0, planner_hz=planner_hz)
         return pafot.explore(world=world, ads=ads, **fields, **more).summary.notes
 
-    given = {"initial_lane_id": 0, "vehicles_count": 9, "vehicles_density": 2, "lanes_count": 4, "collision_reward": -9}
+    given = {
+        "initial_lane_id": 0,
+        "vehicles_count": 9,
+        "vehicles_density": 2,
+        "lanes_count": 4,
+        "collision_reward": -9,
+    }
     start = "these options of config= have no effect in a search: "
     traffic = "vehicles_count, vehicles_density (NPCs replace the environment's own traffic)"
     assert notes(given) == (f"{start}initial_lane_id (write ego_lane=0); {traffic}",)
@@ -204,7 +238,9 @@ def test_search_names_once_the_options_that_have_no_effect():
     assert notes({"offroad_terminal": False, "initial_lane_id": None, "policy_frequency": 5}) == ()
     why = "(the ego decides without the environment's observations and actions)"
     for ads, planner_hz in ((IDMVehicle, None), (lambda: lambda seen: (0.0, 0.0), 5)):
-        assert notes({"policy_frequency": 5}, ads, planner_hz) == (f"{start}policy_frequency {why}",)
+        assert notes({"policy_frequency": 5}, ads, planner_hz) == (
+            f"{start}policy_frequency {why}",
+        )
 
 
 class Burning(HighwayEnv):
@@ -259,7 +295,9 @@ def test_finding_that_differs_because_of_rewards_names_them(burning):
         return decide
 
     world = pafot.World("Burning-v0", duration=8.0)
-    exploration = pafot.explore(world=world, ads=make, holds=lambda run: None, stop_after=1, **SHORT)
+    exploration = pafot.explore(
+        world=world, ads=make, holds=lambda run: None, stop_after=1, **SHORT
+    )
     (finding,) = exploration.findings
     assert finding.flaky.startswith("in highway-env's own environment: ")
     assert finding.flaky.endswith(f"; {BURNS}")
@@ -346,9 +384,13 @@ def test_taken_finding_name_gets_the_next_number(exploration, tmp_path, monkeypa
     found = pafot.explore(
         constant_speed.make, holds=never_collides, seed=5, corpus=corpus, stop_after=1, **SHORT
     ).findings
-    saved = {path.name.removesuffix(".pafot.yaml"): load(path) for path in corpus.rglob("*.pafot.yaml")}
+    saved = {
+        path.name.removesuffix(".pafot.yaml"): load(path) for path in corpus.rglob("*.pafot.yaml")
+    }
     assert [finding.id for finding in found] == [name for name in saved if name.endswith("-2")]
-    assert [saved[finding.id].scenario for finding in found] == [finding.scenario for finding in found]
+    assert [saved[finding.id].scenario for finding in found] == [
+        finding.scenario for finding in found
+    ]
 
 
 class ChangesLanesBlindly:
@@ -387,7 +429,11 @@ def signature_of(scenario):
 def test_each_ego_mistake_is_one_finding_after_shrinking(mistakes):
     findings = mistakes[0].findings
     signatures = [signature_of(finding.scenario) for finding in findings]
-    assert sorted(each.mistake for each in signatures) == ["kept-no-distance", "moved-in-front", "moved-into-side"]
+    assert sorted(each.mistake for each in signatures) == [
+        "kept-no-distance",
+        "moved-in-front",
+        "moved-into-side",
+    ]
     for finding, signature in zip(findings, signatures, strict=True):
         assert finding.shrunk.before
         assert finding.id.startswith(f"{signature.slug}-")
@@ -401,7 +447,9 @@ def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
     assert again.summary.known
     assert again.summary.known.keys() <= {finding.id for finding in first.findings}
     kept, gone, *_ = sorted(tmp_path.rglob("entered-lane-*.yaml"))
-    accepted = kept.read_text().replace("# xfail: {reason, until}", "xfail: {reason: ours, until: 9999-12-31}")
+    accepted = kept.read_text().replace(
+        "# xfail: {reason, until}", "xfail: {reason: ours, until: 9999-12-31}"
+    )
     gone_mistake = signature_of(load(gone).scenario)
     kept.write_text(accepted)
     gone.unlink()
@@ -414,7 +462,9 @@ def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_
         raise CorpusWriteError(path, "to save a finding", "a read-only file system", "Mount it")
 
     monkeypatch.setattr("pytest_pafot.searches.store.rewrite", refuse)
-    found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)
+    found = pafot.explore(
+        constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT
+    )
     (first, *_) = found.sightings
     as_found = load(Path(first.path))
     assert (as_found.shrunk, bool(first.finding.shrunk.before)) == (None, True)

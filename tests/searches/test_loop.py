@@ -127,7 +127,12 @@ def searched(
     for _ in search(scenarios, state, bench, store, watch or Watch()):
         pass
     counts = state.counts
-    assert counts.kinds.total() == counts.outcomes.total() == counts.responsibilities.total() == state.runs
+    assert (
+        counts.kinds.total()
+        == counts.outcomes.total()
+        == counts.responsibilities.total()
+        == state.runs
+    )
     return state, store.finds
 
 
@@ -147,9 +152,17 @@ class Reached(Watch):
 
 @table(
     ("runs", "simulated", "generations", "reason"),
-    [(0, 1, 0, "time"), (1, 1, 0, "time"), (3, 3, 1, "time"), (4, 4, 2, "time"), (6, 6, 3, "generations")],
+    [
+        (0, 1, 0, "time"),
+        (1, 1, 0, "time"),
+        (3, 3, 1, "time"),
+        (4, 4, 2, "time"),
+        (6, 6, 3, "generations"),
+    ],
 )
-def test_limits_are_looked_at_between_runs_but_before_none_and_not_after_the_last(runs, simulated, generations, reason):
+def test_limits_are_looked_at_between_runs_but_before_none_and_not_after_the_last(
+    runs, simulated, generations, reason
+):
     last = searched(passed, watch=Reached(runs))[0].finished
     assert (last.simulated, last.generations, last.reason) == (simulated, generations, reason)
 
@@ -189,10 +202,16 @@ def test_other_verdicts_are_counted_by_kind(kind):
 def test_scenario_of_a_dead_process_is_not_run():
     scenarios = []
     everything, _ = searched(
-        lambda number: Verdict(kind="passed"), run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario)
+        lambda number: Verdict(kind="passed"),
+        run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario),
     )
     found, _ = searched(lambda number: Verdict(kind="passed"), fatal=scenarios[:1])
-    assert found.runs == found.counts.health.simulated == found.counts.health.valid == everything.runs - 1
+    assert (
+        found.runs
+        == found.counts.health.simulated
+        == found.counts.health.valid
+        == everything.runs - 1
+    )
     assert found.counts.health.reused == 1
 
 
@@ -207,7 +226,9 @@ def test_dying_processes_are_one_finding_with_count():
 
 def test_hanging_process_differs_from_a_dying_one():
     count = iter(range(10**6))
-    _, finds = searched(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
+    _, finds = searched(
+        lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2)
+    )
     assert [kind for kind, *_ in finds] == ["crash", "hang"]
 
 
@@ -221,25 +242,37 @@ def test_process_crash_shared_with_reference_is_no_finding():
 
 
 def test_dying_processes_are_known_from_saved_scenario():
-    lost_run = ProcessLostError(sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
+    lost_run = ProcessLostError(
+        sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV"
+    )
     signature = expectation(lost_run).signature
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
     assert found.covered == {"saved": 6}
     evaluation = result_of_death(lost_run.task, lost_run).evaluation
-    row = row_of(Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False))
-    assert [row[name] for name in ("failing", "verdict", "outcome")] == [True, "failed", "ads_error"]
+    row = row_of(
+        Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False)
+    )
+    assert [row[name] for name in ("failing", "verdict", "outcome")] == [
+        True,
+        "failed",
+        "ads_error",
+    ]
     assert row["kind"] == signature.slug
 
 
 def test_a_failure_that_nothing_shows_ends_the_search_with_an_error(monkeypatch):
     result = Bench.result
     monkeypatch.setattr(Bench, "result", lambda *given: replace(result(*given), failed=None))
-    with pytest.raises(RuntimeError, match=r"a failure has no finding: .*\. Please report this bug"):
+    with pytest.raises(
+        RuntimeError, match=r"a failure has no finding: .*\. Please report this bug"
+    ):
         searched(lambda number: failed())
 
 
 def test_search_seed_depends_on_base_seed_and_node():
-    assert search_seed(1, "test_it.py::test_a") == search_seed(1, "test_it.py::test_a") == 1662527925
+    assert (
+        search_seed(1, "test_it.py::test_a") == search_seed(1, "test_it.py::test_a") == 1662527925
+    )
     assert search_seed(1, "test_it.py::test_a") != search_seed(2, "test_it.py::test_a")
     assert search_seed(1, "test_it.py::test_a") != search_seed(1, "test_it.py::test_b")

@@ -27,7 +27,9 @@ def fails_in(parts, of=2, how=lambda: (1.0, 0.0)):
         def __call__(self, seen):
             self.number += 1
             if self.number == 10:
-                self.is_failing = crc32(repr([other.x for other in seen.others]).encode()) % of in parts
+                self.is_failing = (
+                    crc32(repr([other.x for other in seen.others]).encode()) % of in parts
+                )
             return how() if self.number >= 10 and self.is_failing else (0.0, 0.0)
 
     return Policy
@@ -53,7 +55,10 @@ def test_policy_that_fails_more_often_is_worse():
     assert [find.label for find in told] == ["new"] * len(found.findings) != []
     assert found.summary.paired == Paired(runs=14, only_new=14, most=700)
     counts = "14 failed only with this policy, and none only with the reference"
-    assert found.summary.compared == f"this policy is worse than the reference: of 14 random scenarios, {counts}"
+    assert (
+        found.summary.compared
+        == f"this policy is worse than the reference: of 14 random scenarios, {counts}"
+    )
 
 
 def test_error_of_the_policy_itself_always_counts():

@@ -103,7 +103,13 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
         failure = ""
 
         def __init__(self, job, size):
-            self.job, self.size, self.recovered, self.ends, self.free = job, size, [], {}, [clock.now] * size
+            self.job, self.size, self.recovered, self.ends, self.free = (
+                job,
+                size,
+                [],
+                {},
+                [clock.now] * size,
+            )
 
         def add_all(self, scenarios):
             for each in scenarios:
@@ -117,7 +123,11 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
         def fetch(self, scenario):
             clock.now = max(clock.now, self.ends.pop(scenario))
-            return GENERATORS.run(self.job.world.rollout, scenario, self.job.policy.factory), CapturedOutput(), 10.0
+            return (
+                GENERATORS.run(self.job.world.rollout, scenario, self.job.policy.factory),
+                CapturedOutput(),
+                10.0,
+            )
 
         def close(self, *, at_once=False):
             pass
@@ -139,10 +149,16 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner.Job, "driving", here)
     monkeypatch.setattr(bench.Bench, "confirm", confirming)
-    monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
+    monkeypatch.setattr(
+        search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now)
+    )
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "shrink_runs": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
-    told = [(event.left, ended[-1] - event.seconds) for event in result.events if isinstance(event, Progress)]
+    told = [
+        (event.left, ended[-1] - event.seconds)
+        for event in result.events
+        if isinstance(event, Progress)
+    ]
     told = [(left, truth) for left, truth in told if left >= terminal.MINUTE]  # less is not told
     assert len(told) > 5
     assert [pair for pair in told if not pair[1] / 2 <= pair[0] <= pair[1] * 2] == []
@@ -188,14 +204,19 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
     given = {"runs": 20, "max_time": 110, "shrink_runs": 40, "seed": 1}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
-    assert max(attempts(result).values()) > 70 / 3  # the limit without the search, divided by the findings
+    assert (
+        max(attempts(result).values()) > 70 / 3
+    )  # the limit without the search, divided by the findings
     assert clock.now < 110
 
 
 def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
     assert set(unshrunk(result)) == {"it was not simplified, because the time ran out"}
-    assert any("ended the search before" in note and note.endswith(" and more time") for note in result.summary.notes)
+    assert any(
+        "ended the search before" in note and note.endswith(" and more time")
+        for note in result.summary.notes
+    )
 
 
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
@@ -225,7 +246,12 @@ def test_run_that_is_cut_counts_nowhere(clock):
 
     cut = searched(clock, judged, runs=1000, max_time=1e6)
     assert cut.summary.reason == "--pafot-max-time"
-    assert cut.summary.runs == len(cut.runs) == sum(isinstance(event, Evaluated) for event in cut.events) == 5
+    assert (
+        cut.summary.runs
+        == len(cut.runs)
+        == sum(isinstance(event, Evaluated) for event in cut.events)
+        == 5
+    )
     clock.now = 0.0
     whole = searched(clock, lambda run: None, runs=5)
     assert [row["scenario"] for row in cut.runs] == [row["scenario"] for row in whole.runs]
@@ -288,7 +314,10 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
 
 def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
-    turn, bench = Turn(end=100.0, most=math.inf, to_confirm=0), SimpleNamespace(asked=0, is_at_limit=False)
+    turn, bench = (
+        Turn(end=100.0, most=math.inf, to_confirm=0),
+        SimpleNamespace(asked=0, is_at_limit=False),
+    )
     turn.took(0.0, confirming=10.0)
     turn.check(74.0, bench)
     with pytest.raises(OutOfBudget):
@@ -311,5 +340,7 @@ def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
 
 def test_replays_at_the_beginning_end_with_the_time(clock):
     searched(clock, fails_in_three_ways, runs=20)
-    with pytest.raises(RequestError, match="expected runs that test the policy, but no scenario was simulated"):
+    with pytest.raises(
+        RequestError, match="expected runs that test the policy, but no scenario was simulated"
+    ):
         searched(clock, out_of_time, runs=20, max_time=1e6)

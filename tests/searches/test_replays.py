@@ -43,15 +43,22 @@ class Told(Replays):
         if saved.finding is None:
             raise RequestError(saved.error)
         longer = f"{saved.id}+"
-        return self.harness.ends[longer if world.lasts and longer in self.harness.ends else saved.id][:2]
+        return self.harness.ends[
+            longer if world.lasts and longer in self.harness.ends else saved.id
+        ][:2]
 
     def _compared(self, saved, world, owner, now, sought=None):
-        assert (sought is None) == self.harness.ends[saved.id][1].failed, "the reference is driven on if the ADS was"
+        assert (sought is None) == self.harness.ends[saved.id][1].failed, (
+            "the reference is driven on if the ADS was"
+        )
         return replace(now, reference_passes=(*self.harness.ends[saved.id], None)[2])
 
 
 def harness_of(ends):
-    request, own = SimpleNamespace(settings=SimpleNamespace(isolate=True)), SimpleNamespace(sight=None)
+    request, own = (
+        SimpleNamespace(settings=SimpleNamespace(isolate=True)),
+        SimpleNamespace(sight=None),
+    )
     same = {"saved_node_id": str, "judge": lambda run: PASSED, "versions": {}, "policy": own}
     return SimpleNamespace(ends=ends, request=request, world=plain_finding().world, **same)
 
@@ -63,7 +70,9 @@ def shown(xfail=None, **ends):
     files = [
         Saved(
             Path(f"{id_}.pafot.yaml"),
-            plain_finding(id=id_, xfail=xfail, xfail_until=xfail and date(2027, 1, 31), expect=expect),
+            plain_finding(
+                id=id_, xfail=xfail, xfail_until=xfail and date(2027, 1, 31), expect=expect
+            ),
         )
         for id_ in ends
         if not id_.endswith("+")
@@ -85,7 +94,8 @@ def test_failure_is_new_when_all_its_files_pass():
 
 
 @pytest.mark.parametrize(
-    ("later", "known"), [((LATER, FAILED), {HIT: "a"}), ((OTHER_LATER, FAILED), {}), ((QUIET, PASSED), {})]
+    ("later", "known"),
+    [((LATER, FAILED), {HIT: "a"}), ((OTHER_LATER, FAILED), {}), ((QUIET, PASSED), {})],
 )
 def test_pass_covers_its_own_failure_that_comes_later(later, known):
     assert shown(a=(QUIET, PASSED), **{"a+": later}) == known

@@ -35,19 +35,33 @@ def space_of(world, **given):
         (Highway(), {"ego_lane": 0}, (4, 0, ANY_SPEED, True)),
         (Highway(), {"ego_speed": 25.0}, (4, ANY_LANE, 25.0, True)),
         (Highway(lanes=3, speed_limit=10.0), {}, (4, (0, 1, 2), (5.0, 10.0), True)),
-        *((Highway(), {"algorithm": each}, (2, 1, 22.0, False)) for each in ("pafot", "random-manoeuvre")),
+        *(
+            (Highway(), {"algorithm": each}, (2, 1, 22.0, False))
+            for each in ("pafot", "random-manoeuvre")
+        ),
         (World("highway-v0"), {}, (4, 1, 22.0, True)),
         (World("highway-v0", config={"lanes_count": 2}), {}, (4, 1, 22.0, True)),
-        (World("highway-v0", config={"lanes_count": 1}), {"npcs": 1, "ego_lane": 0}, (1, 0, 22.0, True)),
+        (
+            World("highway-v0", config={"lanes_count": 1}),
+            {"npcs": 1, "ego_lane": 0},
+            (1, 0, 22.0, True),
+        ),
         (World("roundabout-v0"), {}, (2, 1, 8.0, False)),
     ],
 )
 def test_drawn_space_depends_on_world_algorithm_and_arguments(world, given, drawn):
     space = space_of(world, **given)
-    assert (space.npcs, space.ego_lanes or space.ego_lane, space.ego_speeds or space.ego_speed, space.patterns) == drawn
+    assert (
+        space.npcs,
+        space.ego_lanes or space.ego_lane,
+        space.ego_speeds or space.ego_speed,
+        space.patterns,
+    ) == drawn
 
 
-@pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, speed_limit=15.0)], ids=["default", "slow"])
+@pytest.mark.parametrize(
+    "world", [Highway(), Highway(lanes=3, speed_limit=15.0)], ids=["default", "slow"]
+)
 def test_scenarios_fit_their_world_and_are_mostly_valid(world):
     space, rng = space_of(world), np.random.default_rng(0)
     outcomes = [world.rollout(sample(space, rng), IDMVehicle).outcome for _ in range(50)]
@@ -70,13 +84,20 @@ def test_npc_count_is_below_cells_of_its_lane(world, given, most):
 
 
 def test_av_fuzzer_uses_its_own_fitness_by_default():
-    given = ({"algorithm": "av-fuzzer"}, {"algorithm": "av-fuzzer", "fitness": "default"}, {"algorithm": "random"}, {})
+    given = (
+        {"algorithm": "av-fuzzer"},
+        {"algorithm": "av-fuzzer", "fitness": "default"},
+        {"algorithm": "random"},
+        {},
+    )
     found = [request_of({"ads": IDMVehicle, **each}).fitness for each in given]
     assert found == ["av-fuzzer", "default", "default", "default"]
 
 
 def test_lane_that_is_a_float_is_refused():
-    with pytest.raises(RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"):
+    with pytest.raises(
+        RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"
+    ):
         space_of(Highway(), ego_lane=1.0)
 
 
@@ -103,7 +124,9 @@ def test_own_algorithm_gets_instructions_that_it_can_sample(kinds, drawn):
     space = space_of(Highway(), algorithm=own)
     assert (space.instructions, space.gene_durations) == drawn
     for refused in {"cells", "lanes", "both"}.difference(kinds):
-        with pytest.raises(RequestError, match=f"instructions=.*: expected .* algorithm own, received '{refused}'"):
+        with pytest.raises(
+            RequestError, match=f"instructions=.*: expected .* algorithm own, received '{refused}'"
+        ):
             space_of(Highway(), algorithm=own, instructions=refused)
 
 
@@ -111,7 +134,11 @@ def test_default_search_draws_vehicles_that_fit_the_road():
     assert space_of(Highway()).vehicles == (CAR, VAN, TRUCK, MOTORCYCLE)
     assert space_of(Highway()).described.endswith("; one NPC in six is a van, truck or motorcycle")
     assert space_of(World("racetrack-v1")).vehicles == (CAR, VAN, MOTORCYCLE)
-    assert space_of(Highway(), vehicles=["car"]).vehicles == space_of(Highway(), vehicles="car").vehicles == (CAR,)
+    assert (
+        space_of(Highway(), vehicles=["car"]).vehicles
+        == space_of(Highway(), vehicles="car").vehicles
+        == (CAR,)
+    )
 
 
 @table("algorithm", [name for name in ALGORITHMS if name != "random"])
@@ -167,7 +194,10 @@ def a_simulator():
 
 @pytest.mark.parametrize("name", ["Still", "a_simulator"])
 def test_a_simulator_is_no_world_yet(name):
-    with pytest.raises(RequestError, match=r"to return pafot.*, received .*\. Write pafot\.SimulatorWorld\(Still\)$"):
+    with pytest.raises(
+        RequestError,
+        match=r"to return pafot.*, received .*\. Write pafot\.SimulatorWorld\(Still\)$",
+    ):
         named_world(f"{__name__}:{name}", "--world")
 
 

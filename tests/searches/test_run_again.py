@@ -43,11 +43,18 @@ def through_csv(rows):
     writer.writeheader()
     writer.writerows(rows)
     rows = csv.DictReader(io.StringIO(file.getvalue()))
-    return [{name: number(cell) if name in NUMBERS and cell else cell for name, cell in row.items()} for row in rows]
+    return [
+        {name: number(cell) if name in NUMBERS and cell else cell for name, cell in row.items()}
+        for row in rows
+    ]
 
 
 BLURRED = pafot.Perception(
-    blind_lane_change.make, noise={"position": 1.5, "speed": 1.0}, dropout=0.2, latency=0.2, range=60.0
+    blind_lane_change.make,
+    noise={"position": 1.5, "speed": 1.0},
+    dropout=0.2,
+    latency=0.2,
+    range=60.0,
 )
 
 
@@ -65,7 +72,10 @@ SEARCHES = {
     "junction": {"ads": constant_speed.make, "world": pafot.World("intersection-v0", planner_hz=5)},
     "roundabout": {"ads": constant_speed.make, "world": pafot.World("roundabout-v0", planner_hz=5)},
     "merge": {"ads": constant_speed.make, "world": pafot.World("merge-v0", planner_hz=5)},
-    "policy of an environment": {"ads": lambda: lambda observation: 1, "world": pafot.World("highway-fast-v0")},
+    "policy of an environment": {
+        "ads": lambda: lambda observation: 1,
+        "world": pafot.World("highway-fast-v0"),
+    },
 }
 
 
@@ -94,7 +104,10 @@ def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
         }
         assert {key: row[key] for key in again} == again
         if row["verdict"] != "":
-            assert (row["least_gap"], row["hardest_braking"]) == (run.min_distance, run.hardest_brake)
+            assert (row["least_gap"], row["hardest_braking"]) == (
+                run.min_distance,
+                run.hardest_brake,
+            )
 
 
 def test_a_run_whose_scenario_was_repaired_has_its_verdict_too():
@@ -102,9 +115,16 @@ def test_a_run_whose_scenario_was_repaired_has_its_verdict_too():
         assert not run.collision
 
     found = pafot.explore(
-        lambda: lambda observation: (0.0, 0.0), holds=holds, blame="ego", runs=24, seed=1, shrink_runs=0
+        lambda: lambda observation: (0.0, 0.0),
+        holds=holds,
+        blame="ego",
+        runs=24,
+        seed=1,
+        shrink_runs=0,
     )
     simulated = [row for row in found.runs if not row["reused"]]
     assert len(simulated) == 24
     assert [row["scenario"] for row in simulated if row["verdict"] is None] == []
-    assert all((row["verdict"] == "failed") == row["failing"] == bool(row["fault"]) for row in simulated)
+    assert all(
+        (row["verdict"] == "failed") == row["failing"] == bool(row["fault"]) for row in simulated
+    )

@@ -39,7 +39,9 @@ def finding_in(world, failure=None):
     run = pafot.Run(world.rollout(SLOW_LEADER, keeps_its_speed))
     found = Found(seed=0, generation=0, algorithm="random")
     failure = failure or Failure(kind="AssertionError", assertion="assert not run.collision")
-    return Finding.from_run(run, failure, test="test_it.py::test_it", world=codec.described(world), found=found)
+    return Finding.from_run(
+        run, failure, test="test_it.py::test_it", world=codec.described(world), found=found
+    )
 
 
 @pytest.fixture
@@ -58,13 +60,20 @@ def test_saved_scenario_has_scenario_world_and_expectation(save):
     assert (saved.id, saved.scenario, saved.world, saved.expect) == (
         finding.id, finding.scenario, WORLD, finding.expect,
     )  # fmt: skip
-    assert repr(saved) == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
+    assert (
+        repr(saved)
+        == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
+    )
 
 
 def test_a_saved_scenario_below_the_current_folder_is_loaded_by_its_id(save, monkeypatch):
     saved = save(finding_in(WORLD))
     monkeypatch.chdir(saved.path.parent)
-    assert pafot.load(saved.id).scenario == pafot.load(f"test_x[saved-{saved.id}]").scenario == saved.scenario
+    assert (
+        pafot.load(saved.id).scenario
+        == pafot.load(f"test_x[saved-{saved.id}]").scenario
+        == saved.scenario
+    )
 
 
 def test_replay_matches_until_the_policy_is_fixed(save):
@@ -80,7 +89,9 @@ def test_a_replay_knows_its_world(save):
 
 def test_world_made_of_code_must_be_given(save):
     saved = save(finding_in(WALLED))
-    with pytest.raises(CorpusError, match=r"expected a world that a file can describe.*replay\(ads, world=") as error:
+    with pytest.raises(
+        CorpusError, match=r"expected a world that a file can describe.*replay\(ads, world="
+    ) as error:
         saved.replay(keeps_its_speed)
     assert error.value.line
     assert error.value.field == "world"
@@ -100,7 +111,9 @@ def test_unfitting_scenario_names_its_line(save):
 
 def test_unknown_kind_of_world_names_its_line(save):
     saved = save(replace(finding_in(WORLD), world={"kind": "moon"}))
-    with pytest.raises(CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, .*, sumo, received 'moon'"):
+    with pytest.raises(
+        CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, .*, sumo, received 'moon'"
+    ):
         saved.world  # noqa: B018
 
 
@@ -119,11 +132,16 @@ def test_saved_check_needs_its_test_function(save):
 
 
 def test_missing_file_is_reported_by_its_name(tmp_path):
-    with pytest.raises(CorpusError, match=r"none.pafot.yaml: expected a regular file that can be read"):
+    with pytest.raises(
+        CorpusError, match=r"none.pafot.yaml: expected a regular file that can be read"
+    ):
         pafot.load(tmp_path / "none.pafot.yaml")
 
 
 def test_replay_in_a_lasting_world_goes_on_after_the_end(save):
     saved = save(finding_in(pafot.Highway(lanes=3, duration=5.0)))
-    assert (saved.replay(keeps_its_speed).duration, saved.replay(keeps_its_speed).collision) == (5.0, None)
+    assert (saved.replay(keeps_its_speed).duration, saved.replay(keeps_its_speed).collision) == (
+        5.0,
+        None,
+    )
     assert saved.replay(keeps_its_speed, world=saved.world.lasting(20.0)).collision

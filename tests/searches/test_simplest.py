@@ -38,7 +38,9 @@ def is_shown(shown, found, responsibility):
     ({"fault": "cut-in-unanswered"}, "ego", False),
     ({"mistake": "moved-in-front", "fault": "entered-lane"}, "ego", False),
 ])  # fmt: skip
-def test_a_simpler_collision_has_the_same_fault_and_the_same_responsible_side(changes, responsibility, expected):
+def test_a_simpler_collision_has_the_same_fault_and_the_same_responsible_side(
+    changes, responsibility, expected
+):
     assert is_shown(Signature(**FACTS | changes), Signature(**FACTS), responsibility) is expected
 
 

@@ -27,6 +27,9 @@ def test_errors_count_whoever_is_responsible():
     def misspelt(run):
         return run.colision
 
-    broken = closing(outcome=Outcome.ADS_ERROR, error=AdsError(kind="KeyError", message="x", traceback="", tick=3))
+    broken = closing(
+        outcome=Outcome.ADS_ERROR,
+        error=AdsError(kind="KeyError", message="x", traceback="", tick=3),
+    )
     assert judged(running_into(), misspelt, "ego") == "failed"
     assert judged(broken, never_collides, "ego") == "failed"

@@ -10,21 +10,26 @@ from pytest_pafot.simulators import metadrive
 from pytest_pafot.world import WorldError
 from tests.helpers.tables import table
 
-NEEDS_3_11 = pytest.mark.skipif(sys.version_info >= (3, 12), reason="there is no MetaDrive for this Python")
+NEEDS_3_11 = pytest.mark.skipif(
+    sys.version_info >= (3, 12), reason="there is no MetaDrive for this Python"
+)
 
 
 @NEEDS_3_11
 def test_without_metadrive_the_error_names_the_extra(monkeypatch):
     monkeypatch.setattr(metadrive, "find_spec", lambda name: None)
     with pytest.raises(
-        WorldError, match=r"0.4.3 on Python 3.11, received no MetaDrive. Run `pip install 'pytest-pafot\[metad"
+        WorldError,
+        match=r"0.4.3 on Python 3.11, received no MetaDrive. Run `pip install 'pytest-pafot\[metad",
     ):
         _ = pafot.metadrive().road
 
 
 def test_with_a_later_python_the_error_names_the_python(monkeypatch):
     monkeypatch.setattr(metadrive, "version_info", (3, 13, 1))
-    with pytest.raises(WorldError, match=r"received Python 3.13. Run `pip install '.*'` with Python 3.11"):
+    with pytest.raises(
+        WorldError, match=r"received Python 3.13. Run `pip install '.*'` with Python 3.11"
+    ):
         _ = pafot.metadrive().road
 
 
@@ -51,7 +56,9 @@ def test_wrong_arguments_are_refused_by_name(monkeypatch, arguments, message):
 
 
 def test_another_vehicle_than_metadrives_is_refused():
-    with pytest.raises(WorldError, match=r"ego: expected MetaDrive's own vehicle, received 'truck'\. Omit ego="):
+    with pytest.raises(
+        WorldError, match=r"ego: expected MetaDrive's own vehicle, received 'truck'\. Omit ego="
+    ):
         pafot.metadrive(ego="truck")
 
 

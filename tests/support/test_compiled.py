@@ -98,7 +98,9 @@ def test_modules_made_from_their_sources_are_imported(package, monkeypatch):
     monkeypatch.syspath_prepend(package)
     import room  # noqa: F401
 
-    with pytest.raises(ImportError, match=f"one{SUFFIX}"):  # a file without code; its source would be imported
+    with pytest.raises(
+        ImportError, match=f"one{SUFFIX}"
+    ):  # a file without code; its source would be imported
         compiled.load("room")
 
 
@@ -121,7 +123,9 @@ def build(script, package, monkeypatch):
                 raise problem
 
         monkeypatch.setattr(build_ext, "build_extension", compile_one)
-        modules = [Extension(name, []) for name in ("pytest_pafot._cython", "pytest_pafot.room.one")]
+        modules = [
+            Extension(name, []) for name in ("pytest_pafot._cython", "pytest_pafot.room.one")
+        ]
         command = script["AllOrNothing"](Distribution({"ext_modules": modules}))
         command.ensure_finalized()
         command.run()
@@ -130,7 +134,10 @@ def build(script, package, monkeypatch):
 
 
 def built(package):
-    return {path.relative_to(package).as_posix().replace(SUFFIX, "") for path in package.rglob(f"*{SUFFIX}*")}
+    return {
+        path.relative_to(package).as_posix().replace(SUFFIX, "")
+        for path in package.rglob(f"*{SUFFIX}*")
+    }
 
 
 def test_build_leaves_its_record_and_no_module_of_an_earlier_build(build, script, package):

@@ -39,7 +39,9 @@ def test_pipe_receives_the_content_and_stays(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="this system has no links to open files")
+@pytest.mark.skipif(
+    not Path("/proc/self/fd").is_dir(), reason="this system has no links to open files"
+)
 def test_link_of_the_system_to_an_open_file_stays(tmp_path):
     with (tmp_path / "output").open("wb") as output:
         output.write(b"before, ")
@@ -50,7 +52,9 @@ def test_link_of_the_system_to_an_open_file_stays(tmp_path):
     assert (tmp_path / "output").read_bytes() == b"before, content"
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is always full")
+@pytest.mark.skipif(
+    not Path("/dev/full").exists(), reason="this system has no device that is always full"
+)
 def test_full_device_is_an_error_and_stays():
     for write in (write_whole, append):
         with pytest.raises(OSError, match="No space left on device"):
@@ -150,7 +154,9 @@ time.sleep(60)
 def writer(path):
     """Start a process that is writing a file; return it and the name of its temporary file."""
     path.parent.mkdir(parents=True)
-    with subprocess.Popen([sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True
+    ) as process:
         yield process, path.parent / process.stdout.readline().strip()
         process.kill()
 

@@ -60,7 +60,10 @@ def test_what_else_a_finalizer_raises_is_told_as_before(monkeypatch):
 
 def test_signal_that_is_ignored_or_handled_stays_so():
     received = []
-    before = {signal.SIGHUP: signal.SIG_IGN, signal.SIGTERM: lambda *given: received.append(given[0])}
+    before = {
+        signal.SIGHUP: signal.SIG_IGN,
+        signal.SIGTERM: lambda *given: received.append(given[0]),
+    }
     first = {number: signal.signal(number, handler) for number, handler in before.items()}
     try:
         with postponed():

@@ -28,11 +28,21 @@ def at_most(hits, trials, share):
     return sum(comb(trials, k) * share**k * (1 - share) ** (trials - k) for k in range(hits + 1))
 
 
-@table(("hits", "trials"), [(0, 378), (2, 100), (38, 1000), (95, 100), (100, 100), (0, 1), (7, 5_000)])
+@table(
+    ("hits", "trials"), [(0, 378), (2, 100), (38, 1000), (95, 100), (100, 100), (0, 1), (7, 5_000)]
+)
 def test_an_interval_is_that_of_clopper_and_pearson(hits, trials):
     low, high = interval(hits, trials)
-    assert low == 0.0 if hits == 0 else 1 - at_most(hits - 1, trials, low) == pytest.approx(0.025, rel=1e-9)
-    assert high == 1.0 if hits == trials else at_most(hits, trials, high) == pytest.approx(0.025, rel=1e-9)
+    assert (
+        low == 0.0
+        if hits == 0
+        else 1 - at_most(hits - 1, trials, low) == pytest.approx(0.025, rel=1e-9)
+    )
+    assert (
+        high == 1.0
+        if hits == trials
+        else at_most(hits, trials, high) == pytest.approx(0.025, rel=1e-9)
+    )
 
 
 def test_trials_without_hits_have_the_upper_end_of_the_interval():
@@ -79,22 +89,44 @@ def test_sequential_test_is_wrong_as_seldom_as_it_promises():
 def test_sequential_test_ends_early_and_after_its_last_trial():
     assert FEWEST == 7
     last = ((7, 0), (6, 0), (5, 1), (26, 10), (31, 15), (3, 4))
-    assert [hits_more(*counts, is_last=True) for counts in last] == [True, None, None, True, False, False]
+    assert [hits_more(*counts, is_last=True) for counts in last] == [
+        True,
+        None,
+        None,
+        True,
+        False,
+        False,
+    ]
     assert [hits_more(first, 0) for first in (0, 13, 14)] == [None, None, True]
     assert [hits_more(0, second) for second in (5, 6)] == [None, False]
-    assert [hits_more(*counts) for counts in ((16, 1), (15, 1), (10, 10), (40, 40))] == [True, None, None, False]
+    assert [hits_more(*counts) for counts in ((16, 1), (15, 1), (10, 10), (40, 40))] == [
+        True,
+        None,
+        None,
+        False,
+    ]
 
 
 def test_share_is_printed_with_interval_or_upper_bound():
     assert interval_text(38, 1000) == "3.8 % (95 %: 2.7 to 5.2 %)"
     assert interval_text(0, 378) == "0 % (95 %: at most 0.98 %)"
-    assert [percent(share) for share in (0.0, 0.0012, 0.5, 1.0)] == ["0 %", "0.12 %", "50.0 %", "100 %"]
+    assert [percent(share) for share in (0.0, 0.0012, 0.5, 1.0)] == [
+        "0 %",
+        "0.12 %",
+        "50.0 %",
+        "100 %",
+    ]
 
 
 def test_difference_of_shares_spans_ends_of_their_intervals():
-    one, other = (0.015288277, 0.083160941), (0.102068673, 0.221237474)  # of 8 and 31 of 200, with 97.5 %
+    one, other = (
+        (0.015288277, 0.083160941),
+        (0.102068673, 0.221237474),
+    )  # of 8 and 31 of 200, with 97.5 %
     for hits, (low, high) in ((8, one), (31, other)):
-        assert (1 - at_most(hits - 1, 200, low), at_most(hits, 200, high)) == pytest.approx((0.0125, 0.0125), rel=1e-6)
+        assert (1 - at_most(hits - 1, 200, low), at_most(hits, 200, high)) == pytest.approx(
+            (0.0125, 0.0125), rel=1e-6
+        )
     assert difference(8, 31, 200) == pytest.approx((one[0] - other[1], one[1] - other[0]), abs=1e-8)
 
 

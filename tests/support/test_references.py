@@ -63,7 +63,9 @@ def test_wrong_name_is_an_error_with_its_cause(reference, message):
 
 
 def test_module_without_a_name_is_none():
-    with pytest.raises(ValueError, match=r"received ':x' \(ModuleNotFoundError: .*\. Change to the module's f"):
+    with pytest.raises(
+        ValueError, match=r"received ':x' \(ModuleNotFoundError: .*\. Change to the module's f"
+    ):
         imported(":x")
 
 

@@ -13,7 +13,13 @@ from pytest_pafot.support.references import source_files
 def source_digests(value, *, here):
     """Return the hashes of the source files of an object by their paths in a folder."""
     files = source_files(value).items()
-    return dict(sorted((f.relative_to(here).as_posix(), digest) for f, (_, digest) in files if f.is_relative_to(here)))
+    return dict(
+        sorted(
+            (f.relative_to(here).as_posix(), digest)
+            for f, (_, digest) in files
+            if f.is_relative_to(here)
+        )
+    )
 
 
 POLICY = """
@@ -45,14 +51,27 @@ def policy(tmp_path, monkeypatch):
     for name, text in FILES.items():
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
-        path.write_text(text.replace("from ..no_parent import x\n", "if False:\n    from ..no_parent import x\n"))
+        path.write_text(
+            text.replace(
+                "from ..no_parent import x\n", "if False:\n    from ..no_parent import x\n"
+            )
+        )
     monkeypatch.syspath_prepend(tmp_path)
     yield importlib.import_module("policy")
-    for name in [each for each in sys.modules if each.partition(".")[0] in ("policy", "core", "package")]:
+    for name in [
+        each for each in sys.modules if each.partition(".")[0] in ("policy", "core", "package")
+    ]:
         del sys.modules[name]
 
 
-OF_POLICY = ["core.py", "lazy.py", "package/__init__.py", "package/deep.py", "package/gains.py", "policy.py"]
+OF_POLICY = [
+    "core.py",
+    "lazy.py",
+    "package/__init__.py",
+    "package/deep.py",
+    "package/gains.py",
+    "policy.py",
+]
 
 
 def test_all_imported_files_are_found_unrun(policy, tmp_path):

@@ -52,7 +52,12 @@ def test_active_characters_are_escaped_and_others_unchanged(text, shown):
 
 @given(TEXTS, WIDTHS)
 def test_visible_text_is_one_harmless_line(text, width):
-    for shown in (visible(text), ascii_text(text), str(FieldError(text)), str(FieldError(field=text, received=text))):
+    for shown in (
+        visible(text),
+        ascii_text(text),
+        str(FieldError(text)),
+        str(FieldError(field=text, received=text)),
+    ):
         assert obeyed(shown) == []
         assert "\n" not in shown
         assert visible(shown) == shown
@@ -66,31 +71,58 @@ def test_visible_text_is_one_harmless_line(text, width):
 
 @given(TEXTS, TEXTS, WIDTHS)
 def test_no_line_of_the_terminal_is_obeyed(text, other, width):
-    find = sighting(node_id=text, headline=other, path=text, detail=other, finding={"flaky": f"- {text}"})
+    find = sighting(
+        node_id=text, headline=other, path=text, detail=other, finding={"flaky": f"- {text}"}
+    )
     search = Search(
         node_id=text, generations=1, kinds=Counter(failed=1, passed=2), seconds=1.0, finds=(find,), known={text: 1},
         algorithm=other, seed=1, base_seed=1, reason=Ending.MAX_TIME, warnings=(text,), notes=(other,),
         against=text, drawn=other,
     )  # fmt: skip
-    replay = sighting(headline=text, node_id=f"{text} again", label="drifted", detail=other, against=text)
+    replay = sighting(
+        headline=text, node_id=f"{text} again", label="drifted", detail=other, against=text
+    )
     session = session_of(
         searches=[search, Search(node_id=other, seed=1)], seen=[replay], unnamed=[text], left=[other],
         problems=[text], written=[visible(text)], warnings=[text], notes=[text],
     )  # fmt: skip
-    progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
+    progress = Progress(
+        node_id=text,
+        generation=1,
+        generations=2,
+        runs=1,
+        budget=None,
+        failing=0,
+        finds=0,
+        seconds=1,
+    )
     lines = [*terminal.session_lines(session, width=width), terminal.found_line(find)]
     for is_whole in (False, True):
         unsaved = replace(find, path="")
-        lines += terminal.block_lines(unsaved, text, place=other, text=text, width=width, is_whole=is_whole)
+        lines += terminal.block_lines(
+            unsaved, text, place=other, text=text, width=width, is_whole=is_whole
+        )
     assert obeyed("\n".join([*lines, terminal.progress_line(progress, width)])) == []
     assert all("\n" not in line and line.isascii() for line in lines)
 
 
 @given(TEXTS, TEXTS)
 def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
-    kept = {"test": f"- {text}", "flaky": f"- {text}", "xfail": f"- {other}", "xfail_until": date(2027, 1, 31)}
-    found = sighting("a", node_id=text, finding=kept, label="drifted", path=other, headline=other, detail=text)
-    record = session_of(seen=[found], searches=[Search(node_id=text, against=text)], warnings=[text], problems=[text])
+    kept = {
+        "test": f"- {text}",
+        "flaky": f"- {text}",
+        "xfail": f"- {other}",
+        "xfail_until": date(2027, 1, 31),
+    }
+    found = sighting(
+        "a", node_id=text, finding=kept, label="drifted", path=other, headline=other, detail=text
+    )
+    record = session_of(
+        seen=[found],
+        searches=[Search(node_id=text, against=text)],
+        warnings=[text],
+        problems=[text],
+    )
     record.results[text], record.reasons[text] = "failed", other
     record.unread[f"{text} again"] = {"id": text, "file": text, "test": other, "replay": text}
     record.reasons[f"{text} again"] = text
@@ -122,11 +154,20 @@ def test_pages_and_junit_files_contain_no_foreign_markup(text):
 def test_corpus_command_output_contains_no_control_sequences(tmp_path_factory, text):
     folder = tmp_path_factory.mktemp("corpus")
     expect = replace(plain_finding().expect, assertion=text, failure=text)
-    finding = plain_finding(test=text, flaky=text, xfail=text, xfail_until=date(2027, 1, 31), expect=expect)
+    finding = plain_finding(
+        test=text, flaky=text, xfail=text, xfail_until=date(2027, 1, 31), expect=expect
+    )
     (folder / "a.pafot.yaml").write_text(text_of(finding), encoding="utf-8")
-    shown = (repr(saved_scenario.load(folder / "a.pafot.yaml")), repr(Saved(path=folder / f"{text}.pafot.yaml")))
+    shown = (
+        repr(saved_scenario.load(folder / "a.pafot.yaml")),
+        repr(Saved(path=folder / f"{text}.pafot.yaml")),
+    )
     assert list(map(obeyed, shown)) == [[], []]
-    broken = (json.dumps(text), f"{json.dumps(text)}: 1", text_of(finding) + f"{json.dumps(text)}: 1\n")
+    broken = (
+        json.dumps(text),
+        f"{json.dumps(text)}: 1",
+        text_of(finding) + f"{json.dumps(text)}: 1\n",
+    )
     for number, content in enumerate(broken):
         path = folder / f"b{number}.pafot.yaml"
         path.write_text(content, encoding="utf-8")

@@ -14,7 +14,10 @@ def machine(tmp_path, monkeypatch):
 
     def write(group, **limits):
         files = {"proc/self/cgroup": f"4:memory:/elsewhere\n0::{group}\n"}
-        files |= {f"sys/fs/cgroup/{path.replace('__', '/')}/cpu.max": text for path, text in limits.items()}
+        files |= {
+            f"sys/fs/cgroup/{path.replace('__', '/')}/cpu.max": text
+            for path, text in limits.items()
+        }
         for path, text in files.items():
             (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / path).write_text(text)
@@ -45,7 +48,9 @@ def test_a_container_has_its_limits_at_the_root_of_its_cgroups(machine):
     assert cores(machine("/", **{"": "200000 100000\n"})) == 2
 
 
-@pytest.mark.parametrize("text", ["", "garbage", "0 100000\n", "-1 100000\n", "100000 0\n", "1e5 100000\n", "\xff"])
+@pytest.mark.parametrize(
+    "text", ["", "garbage", "0 100000\n", "-1 100000\n", "100000 0\n", "1e5 100000\n", "\xff"]
+)
 def test_a_file_that_states_no_limit_is_left_out(machine, text):
     root = machine("/job", job=text)
     assert cores(root) == 8

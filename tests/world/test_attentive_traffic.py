@@ -104,7 +104,9 @@ def test_braking_with_somebody_ahead_is_answered_at_once():
     assert first(accelerations < -0.1) <= 2
 
 
-@pytest.mark.parametrize("ahead", [None, (2, 20.0, SPEED_OF_ALL, "keep@20")], ids=["nobody", "in the next lane"])
+@pytest.mark.parametrize(
+    "ahead", [None, (2, 20.0, SPEED_OF_ALL, "keep@20")], ids=["nobody", "in the next lane"]
+)
 def test_braking_without_leader_is_answered_one_second_later(ahead):
     scene = Scene((1, -40.0, SPEED_OF_ALL, "keep@20"), *([ahead] if ahead else []))
     scene.drive(2.0)
@@ -153,7 +155,13 @@ def test_npc_moving_in_behind_adjusts_distance_at_once():
     assert scene.gap > 0.8 * KEPT
 
 
-@given(st.floats(2.0, 26.0), st.floats(2.0, 26.0), st.floats(0.1, 60.0), st.booleans(), st.integers(0, 26))
+@given(
+    st.floats(2.0, 26.0),
+    st.floats(2.0, 26.0),
+    st.floats(0.1, 60.0),
+    st.booleans(),
+    st.integers(0, 26),
+)
 @example(19.0, 20.0, 6.0, True, 10)
 @example(19.0, 20.0, 11.5, True, 10)
 @example(25.0, 15.0, 23.0, False, 25)
@@ -172,7 +180,9 @@ def test_ego_lane_is_entered_only_with_enough_room(npc_speed, ego_speed, gap, is
     assert (scene.npc.heading_for == 1) == (gap > needed)
 
 
-@pytest.mark.parametrize(("style", "gap", "share"), [("assertive", 6.0, 0.3), ("everyday", 11.0, 0.5)])
+@pytest.mark.parametrize(
+    ("style", "gap", "share"), [("assertive", 6.0, 0.3), ("everyday", 11.0, 0.5)]
+)
 def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
     for speed in (10.0, 18.0, 26.0):
         needed = max(gap, share * speed)
@@ -182,15 +192,25 @@ def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
             assert (scene.npc.heading_for == 1) == enters
 
 
-@pytest.mark.parametrize(("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)])
+@pytest.mark.parametrize(
+    ("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)]
+)
 def test_rear_cell_is_where_an_npc_may_follow(speed, clearance, expected):
-    scenario = Scenario(npcs=[[PositionInstruction(6, speed)]], ego_speed=speed, gene_seconds=30.0, traffic="hostile")
+    scenario = Scenario(
+        npcs=[[PositionInstruction(6, speed)]],
+        ego_speed=speed,
+        gene_seconds=30.0,
+        traffic="hostile",
+    )
     trace = Highway(clearance=clearance, headway=3.0).rollout(scenario, constant_speed)
     assert trace.arrivals != ((None,),)
     arrived = trace.arrivals[0][0]
     gap = trace.ego[arrived, X] - trace.npcs[arrived, 0, X] - LENGTH
     assert gap == pytest.approx(expected, abs=LENGTH / 2)
-    assert Highway(clearance=clearance).rollout(replace(scenario), constant_speed).outcome is Outcome.COMPLETED
+    assert (
+        Highway(clearance=clearance).rollout(replace(scenario), constant_speed).outcome
+        is Outcome.COMPLETED
+    )
 
 
 def test_reversing_ego_gets_no_room_for_its_speed():
@@ -203,7 +223,9 @@ def test_reversing_ego_gets_no_room_for_its_speed():
 def test_limits_of_a_style_hold_at_every_tick_with_any_ego(seed, style):
     rng = random.Random(seed)
     traffic = STYLES[style]
-    scenario = replace(random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4)), traffic=style)
+    scenario = replace(
+        random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4)), traffic=style
+    )
     trace = Highway(duration=15.0).rollout(scenario, rng.choice(EGOS))
     across = abs(np.diff(trace.npcs[..., Y], axis=0)) / trace.dt
     assert across.max(initial=0.0) <= traffic.lateral_speed + 1e-9
@@ -218,7 +240,12 @@ def unhindered(trace):
     """Return by tick and NPC whether its braking is its own: no vehicle was ahead within two lanes for two seconds."""
     x, y = trace.states[..., X], trace.states[..., Y]
     hindering = (x[:, None, :] >= x[:, 1:, None]) & (abs(y[:, None, :] - y[:, 1:, None]) < 10.0)
-    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False  # no vehicle hinders itself
+    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = (
+        False  # no vehicle hinders itself
+    )
     hindered = hindering.any(axis=2)
-    lately = [hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30) for tick in range(len(hindered))]
+    lately = [
+        hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30)
+        for tick in range(len(hindered))
+    ]
     return ~np.array(lately)

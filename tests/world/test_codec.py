@@ -20,7 +20,9 @@ from tests.helpers.tables import table
 
 limits = st.builds(
     NpcLimits,
-    **dict.fromkeys(("acceleration", "braking", "jerk", "lateral_acceleration"), st.floats(0.1, 20)),
+    **dict.fromkeys(
+        ("acceleration", "braking", "jerk", "lateral_acceleration"), st.floats(0.1, 20)
+    ),
     overspeed=st.floats(1, 1.4),
     heading=st.floats(0.01, 0.78),
 )
@@ -76,13 +78,17 @@ def test_the_ego_is_in_the_data_if_it_is_no_car():
     assert "ego" not in Highway().to_dict()
     assert "ego" not in World("highway-v0", ego="car").to_dict()
     assert Highway(ego=TRUCK).to_dict()["ego"] == "truck"
-    assert from_dict({"kind": "gym", "env_id": "highway-v0", "ego": "van"}) == World("highway-v0", ego=VAN)
+    assert from_dict({"kind": "gym", "env_id": "highway-v0", "ego": "van"}) == World(
+        "highway-v0", ego=VAN
+    )
 
 
 def test_fields_that_are_missing_have_their_defaults():
     assert from_dict({"kind": "highway"}) == Highway()
     assert from_dict({"kind": "gym", "env_id": "highway-v0"}) == World("highway-v0")
-    assert from_dict({"kind": "highway", "limits": {"jerk": 5}}) == Highway(limits=NpcLimits(jerk=5))
+    assert from_dict({"kind": "highway", "limits": {"jerk": 5}}) == Highway(
+        limits=NpcLimits(jerk=5)
+    )
 
 
 def test_reading_and_writing_leave_the_data_unchanged():
@@ -142,22 +148,38 @@ def test_faulty_data_is_refused_with_place_and_expectation(data, message):
 
 @table(
     "path",
-    ["os.system", "antigravity.fly", "highway_env.vehicle", "highway_env_evil.vehicle.X", 3, None, ["os.system"]],
+    [
+        "os.system",
+        "antigravity.fly",
+        "highway_env.vehicle",
+        "highway_env_evil.vehicle.X",
+        3,
+        None,
+        ["os.system"],
+    ],
 )
 def test_file_may_not_name_code_outside_highway_env(path):
     before = set(sys.modules)
     data = {"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}}
-    with pytest.raises(WorldError, match=r"world\.config\.other_vehicles_type: expected a class in highway_env\.veh"):
+    with pytest.raises(
+        WorldError,
+        match=r"world\.config\.other_vehicles_type: expected a class in highway_env\.veh",
+    ):
         from_dict(data)
     assert set(sys.modules) == before
 
 
 def test_file_may_name_highway_env_vehicle_classes():
     path = "highway_env.vehicle.behavior.AggressiveVehicle"
-    world = from_dict({"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}})
+    world = from_dict(
+        {"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}}
+    )
     scenario = Scenario(npcs=[[PositionInstruction(1, 20.0)]], gene_seconds=1.0)
     seen = []
-    world.rollout(scenario, lambda env: lambda observation: seen.append(type(env.road.vehicles[1]).__name__) or 1)
+    world.rollout(
+        scenario,
+        lambda env: lambda observation: seen.append(type(env.road.vehicles[1]).__name__) or 1,
+    )
     assert seen == ["AggressiveVehicle"]
 
 
@@ -182,18 +204,30 @@ def test_file_cannot_exceed_time_limits_of_the_test():
 def test_file_within_limits_of_the_test_is_unchanged():
     short = Scenario(npcs=((PositionInstruction(1, 20.0),) * 2,))
     data = Highway(duration=60.0, hang_limit=5.0).to_dict()
-    for own in (Highway(duration=20.0), Highway(duration=60.0, hang_limit=5.0), Highway(duration=3600.0)):
+    for own in (
+        Highway(duration=20.0),
+        Highway(duration=60.0, hang_limit=5.0),
+        Highway(duration=3600.0),
+    ):
         assert world_of_file(data, short, own) == Highway(duration=60.0, hang_limit=5.0)
         assert describe_limits(data, short, own) == []
 
 
 @table(
-    "config", [{"simulation_frequency": 1000, "policy_frequency": 1, "duration": 400}, {"duration": 10**400}, {}, None]
+    "config",
+    [
+        {"simulation_frequency": 1000, "policy_frequency": 1, "duration": 400},
+        {"duration": 10**400},
+        {},
+        None,
+    ],
 )
 def test_gym_world_is_cut_before_environment_is_made(config):
     data = {"kind": "gym", "env_id": "highway-v0", "config": config, "duration": None}
     world = world_of_file(data, SIX_GENES, Highway(duration=20.0))
-    assert world.duration == pytest.approx(20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9)
+    assert world.duration == pytest.approx(
+        20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9
+    )
     assert "environment" not in vars(world)
 
 

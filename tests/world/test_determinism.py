@@ -54,10 +54,14 @@ def digests():
         rng = random.Random(number)
         digest = hashlib.sha256()
         for lane in (0, 3):
-            scenario = Scenario.repaired(chains(rng, 4, 4, 26.8), seed=lane, ego_lane=lane, gene_seconds=2.0)
+            scenario = Scenario.repaired(
+                chains(rng, 4, 4, 26.8), seed=lane, ego_lane=lane, gene_seconds=2.0
+            )
             trace = world.rollout(scenario, ads)
             digest.update(trace.states.tobytes())
-            digest.update(f"{trace.executed.canonical()} {trace.outcome} {trace.collision} {trace.arrivals}".encode())
+            digest.update(
+                f"{trace.executed.canonical()} {trace.outcome} {trace.collision} {trace.arrivals}".encode()
+            )
             digest.update(repr([np.asarray(action).tolist() for action in trace.actions]).encode())
         result.append(digest.hexdigest())
     return result

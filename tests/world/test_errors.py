@@ -62,25 +62,34 @@ def test_frequencies_that_do_not_divide_are_refused(physics_hz, ads_hz, message)
     for old, new in names.items():
         message = message.replace(old, new).replace("ads_hz:", "config.policy_frequency:")
     with raises(message):
-        World("highway-v0", config={"simulation_frequency": physics_hz, "policy_frequency": ads_hz}).check()
+        World(
+            "highway-v0", config={"simulation_frequency": physics_hz, "policy_frequency": ads_hz}
+        ).check()
 
 
 @table("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
 @table("value", [0, -1, 1e-300, 1e300, math.nan, math.inf, "5", None, True])
 def test_invalid_number_for_a_limit_is_refused(name, value):
     received = re.escape(f"received {value!r}")
-    with pytest.raises(WorldError, match=rf"^limits\.{name}: expected a number from [^,]*(, so that .*)?, {received}$"):
+    with pytest.raises(
+        WorldError,
+        match=rf"^limits\.{name}: expected a number from [^,]*(, so that .*)?, {received}$",
+    ):
         NpcLimits(**{name: value})
 
 
 def test_limits_that_contradict_npc_behaviour_are_refused():
-    with raises("limits.heading: expected a number from 0.01 to 0.785398, so that no NPC drives sideways, received 1"):
+    with raises(
+        "limits.heading: expected a number from 0.01 to 0.785398, so that no NPC drives sideways, received 1"
+    ):
         NpcLimits(heading=1)
     with raises(
         "limits.overspeed: expected a number from 1 to 8, so that NPCs can reach target speeds up to the speed limit"
     ):
         NpcLimits(overspeed=0.9)
-    with raises("speed_limit: expected at most 20.0 m/s, because NPCs can drive 2 times the limit, and highway-env's"):
+    with raises(
+        "speed_limit: expected at most 20.0 m/s, because NPCs can drive 2 times the limit, and highway-env's"
+    ):
         Highway(limits=NpcLimits(overspeed=2))
 
 
@@ -158,7 +167,11 @@ def test_environment_id_with_module_is_refused_before_import(env_id):
 @pytest.mark.parametrize(
     "env_id",
     mostly_oracle(
-        sorted(env_id for env_id, spec in gymnasium.registry.items() if "highway_env" in str(spec.entry_point)),
+        sorted(
+            env_id
+            for env_id, spec in gymnasium.registry.items()
+            if "highway_env" in str(spec.entry_point)
+        ),
         "highway-fast-v0",
         "intersection-multi-agent-v0",
         "lane-keeping-v0",
@@ -171,7 +184,9 @@ def test_every_highway_env_environment_runs_or_says_why(env_id):
         with raises("config.controlled_vehicles: expected 1, the ego, received 2"):
             world.check()
     elif env_id.startswith("parking"):
-        with raises(f"{env_id}: expected an ego that starts in a lane and faces along it, because the grid"):
+        with raises(
+            f"{env_id}: expected an ego that starts in a lane and faces along it, because the grid"
+        ):
             world.check()
     else:
         world.check()
@@ -183,12 +198,20 @@ def test_environment_does_not_change_highway_env_vehicle_classes():
     from highway_env.vehicle.behavior import IDMVehicle
 
     world = World("intersection-v2", duration=1.0)
-    world.rollout(hold(2, speed=5.0, ego_lane=0, ego_speed=5.0, gene_seconds=1.0), lambda: IDMVehicle)
-    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN) == (10.0, 3.0, -5.0)
+    world.rollout(
+        hold(2, speed=5.0, ego_lane=0, ego_speed=5.0, gene_seconds=1.0), lambda: IDMVehicle
+    )
+    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN) == (
+        10.0,
+        3.0,
+        -5.0,
+    )
 
 
 def test_environment_of_another_library_is_refused():
-    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv). Write a pafot.Simulator"):
+    with raises(
+        "highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv). Write a pafot.Simulator"
+    ):
         World("CartPole-v1").check()
 
 
@@ -197,7 +220,9 @@ def test_environment_of_another_library_is_refused():
     [("highway-v9", "highway-v0"), ("Merge-v1", "merge-v1"), ("round-about-v0", "roundabout-v0"), ("CartPole-v9", None),
      *((each, ...) for each in ("highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 ", "MetaDrive-v0"))],
 )  # fmt: skip
-def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a_world_accepts(env_id, meant):
+def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a_world_accepts(
+    env_id, meant
+):
     with pytest.raises(WorldError) as caught:
         World(env_id).check()
     message = str(caught.value)
@@ -250,20 +275,29 @@ def test_custom_observations_and_environments_define_own_options(register, monke
     class Own(highway_env.envs.HighwayEnv):
         @classmethod
         def default_config(cls):
-            return {**super().default_config(), "observation": {"type": "Kinematics", "seen_from": "above"}}
+            return {
+                **super().default_config(),
+                "observation": {"type": "Kinematics", "seen_from": "above"},
+            }
 
     class Sight(observation.KinematicObservation):
         pass
 
     register("own-sight-v0", entry_point=Own)
-    World("own-sight-v0", config={"observation": {"type": "Kinematics", "seen_from": "below"}}).check()
+    World(
+        "own-sight-v0", config={"observation": {"type": "Kinematics", "seen_from": "below"}}
+    ).check()
     monkeypatch.setattr(abstract, "observation_factory", lambda env, config: Sight(env))
     World("highway-v0", config={"observation": {"type": "Sight", "zebra": 1}}).check()
 
 
 def test_an_action_for_several_vehicles_has_no_ego():
-    config = {"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}}
-    with raises("config.action: expected a discrete or continuous action space for one vehicle, received Tuple"):
+    config = {
+        "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    }
+    with raises(
+        "config.action: expected a discrete or continuous action space for one vehicle, received Tuple"
+    ):
         World("highway-v0", config=config).rollout(hold(1), lambda: lambda observation: (1,))
 
 
@@ -281,7 +315,10 @@ def test_wrong_gym_world_option_is_named_with_bounds(options, message):
 
 
 def test_the_callers_configuration_is_neither_changed_nor_followed():
-    config = {"action": {"type": "DiscreteMetaAction", "target_speeds": np.array([10.0, 20.0])}, "lanes_count": 3}
+    config = {
+        "action": {"type": "DiscreteMetaAction", "target_speeds": np.array([10.0, 20.0])},
+        "lanes_count": 3,
+    }
     world = World("highway-v0", config=config)
     config["lanes_count"] = 6
     config["action"]["type"] = "Nope"
@@ -308,12 +345,16 @@ def test_nearest_gene_duration_from_error_is_accepted():
     with pytest.raises(ScenarioError) as caught:
         Highway().rollout(hold(1, gene_seconds=0.15), constant_speed)
     nearest = float(str(caught.value).rsplit(" ", 2)[1])
-    assert Highway().rollout(hold(1, gene_seconds=nearest), constant_speed).ticks == round(nearest * 15)
+    assert Highway().rollout(hold(1, gene_seconds=nearest), constant_speed).ticks == round(
+        nearest * 15
+    )
 
 
 def test_the_worlds_are_frozen_values():
     assert Highway(lanes=5) == Highway(lanes=5) != Highway()
-    assert World("highway-v0", config={"lanes_count": 3}) == World("highway-v0", config={"lanes_count": 3})
+    assert World("highway-v0", config={"lanes_count": 3}) == World(
+        "highway-v0", config={"lanes_count": 3}
+    )
     assert {hash(Highway(lanes=5)), hash(Highway(lanes=5))} == {hash(Highway(lanes=5))}
     for world in (Highway(), World("highway-v0")):
         with pytest.raises(AttributeError):

@@ -56,7 +56,10 @@ from tests.helpers.tables import table
 
 TRAFFIC_TOLD = "NPCs replace the environment's own traffic"
 SCENARIO = Scenario(
-    npcs=[[PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)], [PositionInstruction(5, 20.0)]],
+    npcs=[
+        [PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)],
+        [PositionInstruction(5, 20.0)],
+    ],
     seed=11,
     gene_seconds=4.0,
 )
@@ -66,7 +69,10 @@ CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 def acting(kind, **options):
     """Return a configuration with a kind of actions, in which the policy also sees behind itself."""
-    return {"action": {"type": kind, **options}, "observation": {"type": "Kinematics", "see_behind": True}}
+    return {
+        "action": {"type": kind, **options},
+        "observation": {"type": "Kinematics", "see_behind": True},
+    }
 
 
 class Staged(HighwayEnv):
@@ -81,7 +87,10 @@ class Staged(HighwayEnv):
         npcs = [Replayed(self.road, *place) for place in first[1:]]
         for index, npc in enumerate(npcs, start=1):
             controls = states[1:, index, (ACCELERATION, STEERING)]
-            npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((60, 2))])  # the last decision continues
+            npc.tick, npc.controls = (
+                0,
+                np.concatenate([controls, np.zeros((60, 2))]),
+            )  # the last decision continues
         self.road.vehicles = [ego, *npcs]
         self.controlled_vehicles = [ego]
         for vehicle in self.road.vehicles:
@@ -100,7 +109,10 @@ class Listener:
         if isinstance(self.space, gymnasium.spaces.Discrete):
             action = int(rng.integers(self.space.n))
         else:
-            low, high = np.maximum(self.space.low, -1.5), np.minimum(self.space.high, 1.5)  # without infinite bounds
+            low, high = (
+                np.maximum(self.space.low, -1.5),
+                np.minimum(self.space.high, 1.5),
+            )  # without infinite bounds
             action = (low + high) / 2 + rng.uniform(-0.02, 0.02, self.space.shape) * (high - low)
         self.seen.append(array.copy())
         self.actions.append(action)
@@ -141,7 +153,9 @@ CASES = {
 
 
 @pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
-@pytest.mark.parametrize("case", mostly_oracle(CASES, "with running statistics", "clipped actions", "a bicycle"))
+@pytest.mark.parametrize(
+    "case", mostly_oracle(CASES, "with running statistics", "clipped actions", "a bicycle")
+)
 def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     config, wrappers = CASES[case]
     world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers, ends="duration")
@@ -149,7 +163,9 @@ def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     trace = world.rollout(SCENARIO, lambda: listener)
 
     monkeypatch.setattr(Staged, "trace", trace)
-    monkeypatch.setitem(gymnasium.registry, "staged-v0", gymnasium.envs.registration.EnvSpec("staged-v0", Staged))
+    monkeypatch.setitem(
+        gymnasium.registry, "staged-v0", gymnasium.envs.registration.EnvSpec("staged-v0", Staged)
+    )
     env = gymnasium.make("staged-v0", config={**config, "duration": 1000}, disable_env_checker=True)
     for wrapper in wrappers:
         env = wrapper(env)
@@ -161,7 +177,9 @@ def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
 
     assert len(listener.seen) == len(expected.seen) > 3
     assert all(np.array_equal(a, b) for a, b in zip(listener.seen, expected.seen, strict=True))
-    assert all(np.array_equal(a, b) for a, b in zip(listener.actions, expected.actions, strict=True))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(listener.actions, expected.actions, strict=True)
+    )
     assert np.array_equal(np.array(log.rows[: trace.ticks]), trace.states[1:, :, : SPEED + 1])
     assert len(trace.actions) == len(listener.actions)
 
@@ -186,7 +204,9 @@ class Hurried(HighwayEnv):
     (Hurried, None, 5),
     (HighwayEnv, None, 15),
 ])  # fmt: skip
-def test_times_of_decisions_are_those_at_which_the_policy_was_asked(entry_point, wrappers, every, register):
+def test_times_of_decisions_are_those_at_which_the_policy_was_asked(
+    entry_point, wrappers, every, register
+):
     register("mine-v0", entry_point=entry_point)
     world = World("mine-v0", duration=8.0, wrappers=wrappers)
     trace = world.rollout(SCENARIO, lambda: Listener(gymnasium.spaces.Discrete(5)))
@@ -236,7 +256,16 @@ def test_drawn_rates_that_fit_no_run_are_refused(name, rates, message, register)
 def test_readers_of_a_run_use_the_times_of_its_decisions():
     skips = World("highway-v0", duration=8.0, wrappers=[partial(MaxAndSkipObservation, skip=2)])
     trace = skips.rollout(SCENARIO, lambda: lambda seen: 1)
-    hit = Collision(tick=105, time=7.0, npc=0, side="front", cell=None, ego_speed=9.0, npc_speed=0.0, closing_speed=9.0)
+    hit = Collision(
+        tick=105,
+        time=7.0,
+        npc=0,
+        side="front",
+        cell=None,
+        ego_speed=9.0,
+        npc_speed=0.0,
+        closing_speed=9.0,
+    )
     before = before_impact(replace(trace, outcome="collision", collision=hit))
     assert (before.ticks, before.decided, len(before.actions)) == (60, (0, 30), 2)
 
@@ -250,7 +279,11 @@ def test_decision_that_fails_has_its_time_too():
     trace = skips.rollout(SCENARIO, failing)
     assert (trace.decision_ticks, len(trace.actions), trace.error.tick) == ((0, 30, 60), 2, 60)
     plain = World("highway-v0", duration=8.0).rollout(SCENARIO, failing)
-    assert (list(plain.decision_ticks), len(plain.actions), plain.error.tick) == ([0, 15, 30], 2, 30)
+    assert (list(plain.decision_ticks), len(plain.actions), plain.error.tick) == (
+        [0, 15, 30],
+        2,
+        30,
+    )
 
 
 def test_each_run_has_fresh_wrappers_and_is_confirmed():
@@ -292,7 +325,9 @@ REGISTERED = {
     "by its entry point": {"entry_point": flattened},
     "beside its entry point": {
         "entry_point": HighwayEnv,
-        "additional_wrappers": (WrapperSpec("Flatten", "gymnasium.wrappers:FlattenObservation", {}),),
+        "additional_wrappers": (
+            WrapperSpec("Flatten", "gymnasium.wrappers:FlattenObservation", {}),
+        ),
     },
 }
 
@@ -324,11 +359,20 @@ def test_default_gymnasium_wrappers_are_no_reason_to_refuse(register):
 
 
 def test_registered_configuration_applies_unless_another_is_given(register):
-    register("mine-v0", entry_point=HighwayEnv, kwargs={"config": {"lanes_count": 6, "policy_frequency": 5}})
+    register(
+        "mine-v0",
+        entry_point=HighwayEnv,
+        kwargs={"config": {"lanes_count": 6, "policy_frequency": 5}},
+    )
     for config in (None, {"lanes_count": 3}):
-        plain = gymnasium.make("mine-v0", **({} if config is None else {"config": config})).unwrapped
+        plain = gymnasium.make(
+            "mine-v0", **({} if config is None else {"config": config})
+        ).unwrapped
         world = World("mine-v0", config=config)
-        assert (world.lanes, world.ads_hz) == (plain.config["lanes_count"], plain.config["policy_frequency"])
+        assert (world.lanes, world.ads_hz) == (
+            plain.config["lanes_count"],
+            plain.config["policy_frequency"],
+        )
 
 
 class Doubled(HighwayEnv):
@@ -353,9 +397,13 @@ def test_what_a_custom_reset_does_to_the_ego_holds_in_runs(register):
     world = World("mine-v0", duration=8.0)
     trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
     assert trace.ego[-1, 3] == pytest.approx(12.0, abs=0.1)
-    assert np.array_equal(trace.states, world.rollout_in_gym(SCENARIO, lambda: lambda seen: 1).states)
+    assert np.array_equal(
+        trace.states, world.rollout_in_gym(SCENARIO, lambda: lambda seen: 1).states
+    )
     planned = World("mine-v0", duration=2.0, planner_hz=5)
-    assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(SCENARIO.ego_speed)
+    assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(
+        SCENARIO.ego_speed
+    )
 
 
 class Heading(HighwayEnv):
@@ -391,7 +439,9 @@ def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, 
             self.shield = keeper(self.vehicle)
 
     register("mine-v0", entry_point=Keeping)
-    with pytest.raises(WorldError, match="received Keeping, whose `shield` still has the ego of the last reset"):
+    with pytest.raises(
+        WorldError, match="received Keeping, whose `shield` still has the ego of the last reset"
+    ):
         World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
     assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
 
@@ -413,7 +463,9 @@ class Freight(HighwayEnv):
     def _create_vehicles(self):
         super()._create_vehicles()
         usual = self.vehicle
-        self.vehicle = Truck(self.road, usual.position, usual.heading, usual.speed, target_speeds=[20, 28], mass=3.0)
+        self.vehicle = Truck(
+            self.road, usual.position, usual.heading, usual.speed, target_speeds=[20, 28], mass=3.0
+        )
         self.road.vehicles[self.road.vehicles.index(usual)] = self.vehicle
 
 
@@ -430,7 +482,9 @@ def test_ego_is_of_the_class_of_which_the_environment_makes_it(wrappers, registe
     env.road.vehicles = [env.vehicle]
     for _ in range(3):
         env.step(faster)
-    assert trace.ego[-1, :4] == pytest.approx([*env.vehicle.position, env.vehicle.heading, env.vehicle.speed])
+    assert trace.ego[-1, :4] == pytest.approx(
+        [*env.vehicle.position, env.vehicle.heading, env.vehicle.speed]
+    )
     assert trace.sizes[0][0] == 8.0
 
 
@@ -519,7 +573,9 @@ class Depot(HighwayEnv):
 
 def test_ego_whose_class_needs_more_arguments_is_refused(register):
     register("mine-v0", entry_point=Depot)
-    with pytest.raises(WorldError, match=r"Weighed\(road, .*'mass'\). Give the other parameters default values"):
+    with pytest.raises(
+        WorldError, match=r"Weighed\(road, .*'mass'\). Give the other parameters default values"
+    ):
         World("mine-v0").rollout(SCENARIO, lambda: lambda seen: 1)
 
 
@@ -548,7 +604,9 @@ class Watching(Loaded):
 @pytest.mark.parametrize(("cls", "wrappers"), [(Weighing, None), (Weighing, []), (Watching, None)])
 def test_environment_may_ask_the_ego_of_its_own_class(cls, wrappers, register):
     register("mine-v0", entry_point=cls)
-    assert World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE).outcome == "safe"
+    assert (
+        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE).outcome == "safe"
+    )
 
 
 class Wet(HighwayEnv):
@@ -570,7 +628,9 @@ def test_random_straight_road_is_the_same_in_each_session(register):
 
 def test_custom_step_is_used_on_straight_roads_too(register):
     register("mine-v0", entry_point=Doubled)
-    own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # a policy with one action
+    own, stock = (
+        Listener(gymnasium.spaces.Discrete(1)) for _ in range(2)
+    )  # a policy with one action
     World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
     World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
     assert np.array_equal(own.seen[0], 2 * stock.seen[0])
@@ -641,10 +701,14 @@ class Swapping(HighwayEnv):
     (Swapping, "whose `reset` replaces the ego at 0.0 s"),
     (Sorting, ""),
 ])  # fmt: skip
-def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received, wrappers, register):
+def test_environment_that_changes_the_vehicles_of_a_run_is_refused(
+    cls, received, wrappers, register
+):
     register("mine-v0", entry_point=cls)
     world = World("mine-v0", duration=6.0, wrappers=wrappers)
-    scenario = Scenario(npcs=[[PositionInstruction(2, 22.0)], [PositionInstruction(6, 22.0)]], ego_lane=1)
+    scenario = Scenario(
+        npcs=[[PositionInstruction(2, 22.0)], [PositionInstruction(6, 22.0)]], ego_lane=1
+    )
     if not received:
         assert world.rollout(scenario, IDLE).ticks == 90
         return
@@ -675,7 +739,11 @@ class Warming(HighwayEnv):
 
 
 def test_reset_does_nothing_to_npcs(register):
-    slowing, stock, warming = World("mine-v0", duration=4.0), World("highway-v0", duration=4.0), "warming-v0"
+    slowing, stock, warming = (
+        World("mine-v0", duration=4.0),
+        World("highway-v0", duration=4.0),
+        "warming-v0",
+    )
     register("mine-v0", entry_point=Slowing)
     register(warming, entry_point=Warming)
     one, other, third = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(3))
@@ -683,7 +751,9 @@ def test_reset_does_nothing_to_npcs(register):
     assert np.allclose(slowing.rollout(SCENARIO, lambda: one).states, expected, atol=1e-9)
     assert np.array_equal(one.seen, other.seen)
     warmed = World(warming, duration=4.0).rollout(SCENARIO, lambda: third)
-    assert np.allclose(warmed.states, expected, atol=1e-9), "its first second is the one that the reset drives"
+    assert np.allclose(warmed.states, expected, atol=1e-9), (
+        "its first second is the one that the reset drives"
+    )
     assert np.array_equal(third.seen[0], other.seen[1])
 
 
@@ -709,7 +779,10 @@ def test_configuration_that_wrappers_give_holds_in_runs(by_options):
         "vehicles_count": 7,
     }
     wrapper = type("Given", (Configured,), {"changes": changes, "by_options": by_options})
-    world, plain = World("highway-v0", wrappers=[wrapper], duration=4.0), World("highway-v0", changes, duration=4.0)
+    world, plain = (
+        World("highway-v0", wrappers=[wrapper], duration=4.0),
+        World("highway-v0", changes, duration=4.0),
+    )
     assert (world.lanes, world.physics_hz, world.ads_hz) == (5, 10, 5)
     assert world.observation_space == plain.observation_space
     one, other = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))
@@ -734,8 +807,12 @@ def test_speeds_of_actions_are_those_that_the_reset_of_the_run_draws(register):
     for seed in range(4):
         plain.reset(seed=seed)
         tops.add(top := plain.unwrapped.vehicle.target_speeds[-1])
-        scenario = Scenario(npcs=[[PositionInstruction(6, 20.0)]], seed=seed, gene_seconds=10.0, ego_speed=22.0)
-        assert world.rollout(scenario, lambda: lambda seen: 3).ego[-1, SPEED] == pytest.approx(top, abs=0.1)
+        scenario = Scenario(
+            npcs=[[PositionInstruction(6, 20.0)]], seed=seed, gene_seconds=10.0, ego_speed=22.0
+        )
+        assert world.rollout(scenario, lambda: lambda seen: 3).ego[-1, SPEED] == pytest.approx(
+            top, abs=0.1
+        )
     assert tops == {25, 30}
 
 
@@ -798,9 +875,14 @@ class Following(HighwayEnv):
 
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
-def test_environment_that_looks_at_its_traffic_in_reset_runs_with_the_npcs_alone(wrappers, register):
+def test_environment_that_looks_at_its_traffic_in_reset_runs_with_the_npcs_alone(
+    wrappers, register
+):
     register("mine-v0", entry_point=Following)
-    own, stock = World("mine-v0", duration=3.0, wrappers=wrappers), World("highway-v0", duration=3.0)
+    own, stock = (
+        World("mine-v0", duration=3.0, wrappers=wrappers),
+        World("highway-v0", duration=3.0),
+    )
     expected = stock.rollout(SCENARIO, lambda: lambda seen: 1)
     for run in (own.rollout, own.rollout_in_gym):
         states = run(SCENARIO, lambda: lambda seen: 1).states
@@ -824,7 +906,9 @@ AT_ONCE = [[PositionInstruction(6, 20.0)]]
 @pytest.mark.parametrize(
     "factory", [IDLE, Vehicle, lambda: lambda seen: (0.0, 0.0)], ids=["policy", "class", "planner"]
 )
-def test_contact_with_an_obstacle_is_a_collision_for_which_the_ego_is_responsible(factory, wrappers, register):
+def test_contact_with_an_obstacle_is_a_collision_for_which_the_ego_is_responsible(
+    factory, wrappers, register
+):
     register("mine-v0", entry_point=Roadworks)
     world = World("mine-v0", duration=12.0, wrappers=wrappers)
     if factory not in (IDLE, Vehicle):
@@ -833,8 +917,16 @@ def test_contact_with_an_obstacle_is_a_collision_for_which_the_ego_is_responsibl
     first, again = world.rollout(scenario, factory), world.rollout_in_gym(scenario, factory)
     assert disagreement(Run(first), Run(again)) == ""
     run, hit = Run(first), first.collision
-    assert (run.outcome, hit.npc, hit.side, hit.cell, hit.npc_speed) == ("collision", None, "front", None, 0.0)
-    assert 0 <= 300.0 - 1.0 - (first.ego[-2, 0] + 2.5) < hit.ego_speed / first.physics_hz, "the last tick before it"
+    assert (run.outcome, hit.npc, hit.side, hit.cell, hit.npc_speed) == (
+        "collision",
+        None,
+        "front",
+        None,
+        0.0,
+    )
+    assert 0 <= 300.0 - 1.0 - (first.ego[-2, 0] + 2.5) < hit.ego_speed / first.physics_hz, (
+        "the last tick before it"
+    )
     assert (run.responsibility, run.event_npc, run.off_road) == ("ego", None, False)
     assert run.explain().startswith(f"The ego hit a fixed object after {hit.time:.1f} s")
     assert "The ego is responsible, because a fixed object does not move." in run.explain()
@@ -864,11 +956,15 @@ class Littered(HighwayEnv):
 def test_obstacle_that_a_custom_reset_puts_there_is_one_like_others(wrappers, register):
     register("mine-v0", entry_point=Littered)
     register("other-v0", entry_point=Roadworks)
-    own, other = (World(f"{name}-v0", duration=12.0, wrappers=wrappers) for name in ("mine", "other"))
+    own, other = (
+        World(f"{name}-v0", duration=12.0, wrappers=wrappers) for name in ("mine", "other")
+    )
     scenario, counts = Scenario(npcs=AT_ONCE, ego_lane=1), []
 
     def counting(env):
-        return TransformObservation(env, lambda seen: counts.append(len(env.unwrapped.road.objects)) or seen, None)
+        return TransformObservation(
+            env, lambda seen: counts.append(len(env.unwrapped.road.objects)) or seen, None
+        )
 
     expected = other.rollout(scenario, IDLE)
     for run in (own.rollout, own.rollout_in_gym):
@@ -883,7 +979,9 @@ def test_obstacle_that_a_custom_reset_puts_there_is_one_like_others(wrappers, re
 class Chanced(HighwayEnv):
     def _reset(self):
         super()._reset()
-        self.road.objects.append(Obstacle(self.road, [float(self.np_random.uniform(250.0, 400.0)), 4.0]))
+        self.road.objects.append(
+            Obstacle(self.road, [float(self.np_random.uniform(250.0, 400.0)), 4.0])
+        )
 
 
 def test_random_obstacle_is_where_a_reset_with_seed_0_and_no_traffic_puts_it(register):
@@ -934,7 +1032,10 @@ class Marking(Falling):
 ])  # fmt: skip
 def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
     register("mine-v0", entry_point=cls)
-    world, scenario = World("mine-v0", duration=6.0, wrappers=wrappers), Scenario(npcs=AT_ONCE, ego_lane=3)
+    world, scenario = (
+        World("mine-v0", duration=6.0, wrappers=wrappers),
+        Scenario(npcs=AT_ONCE, ego_lane=3),
+    )
     if not received:
         assert world.rollout(scenario, IDLE).outcome == "safe"
         return
@@ -957,28 +1058,40 @@ def test_ego_does_not_start_at_an_obstacle(register):
     register("mine-v0", entry_point=Blocked)
     world = World("mine-v0", duration=12.0)
     ahead = (
-        "for 2 s at 22 m/s from the ego's start at (200, 4) m, received lane 1, which has an object at (202.5, 4.0) m"
+        "for 2 s at 22 m/s from the ego's start at (200, 4) m, received lane 1, which "
+        "has an object at (202.5, 4.0) m"
     )
     blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
     with pytest.raises(ScenarioError, match=re.escape(f"{ahead}. Write ego_lane=0")):
         world.rollout(blocked, IDLE)
-    with pytest.raises(ScenarioError, match=re.escape("received lane 2, which has an object at (244.0, 8.0) m")):
+    with pytest.raises(
+        ScenarioError, match=re.escape("received lane 2, which has an object at (244.0, 8.0) m")
+    ):
         world.rollout(replace(blocked, ego_lane=2), IDLE)
     slow = world.rollout(replace(blocked, ego_lane=2, ego_speed=20.0), lambda: lambda seen: 4)
     assert (slow.collision.npc, slow.ticks > 15) == (None, True)
     for run in (world.rollout, world.rollout_in_gym):
         free = replace(blocked, ego_lane=0)
         assert run(free, IDLE).ticks > 0
-        with pytest.raises(ScenarioError, match=re.escape("received lane 0, which has an object at (194.0, 0.0) m")):
+        with pytest.raises(
+            ScenarioError, match=re.escape("received lane 0, which has an object at (194.0, 0.0) m")
+        ):
             run(free, Lorry)
 
 
 def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
     register("mine-v0", entry_point=Roadworks)
     run = Run(World("mine-v0", duration=12.0).rollout(Scenario(npcs=AT_ONCE, ego_lane=1), IDLE))
-    failure = Failure(kind="AssertionError", message="assert not run.collision", assertion="not run.collision")
+    failure = Failure(
+        kind="AssertionError", message="assert not run.collision", assertion="not run.collision"
+    )
     expect = Expect.from_run(run, failure)
-    assert (expect.outcome, expect.npc, expect.cell, expect.side) == ("collision", None, None, "front")
+    assert (expect.outcome, expect.npc, expect.cell, expect.side) == (
+        "collision",
+        None,
+        None,
+        "front",
+    )
     assert expect.brief == "The ego hit a fixed object after 4.8 s, closing at 20.0 m/s"
     assert is_same_event(expect, run, failure)
     for given in (expect, replace(expect, npc=0), replace(expect, cell=Cell.FRONT)):
@@ -1011,7 +1124,11 @@ NAMED = "ego_spacing initial_lane_id offroad_terminal terminate_off_road"
 
 
 def test_every_option_of_highway_env_is_used_refused_or_named():
-    entries = [spec for spec in gymnasium.registry.values() if str(spec.entry_point).startswith("highway_env.")]
+    entries = [
+        spec
+        for spec in gymnasium.registry.values()
+        if str(spec.entry_point).startswith("highway_env.")
+    ]
     known = {key for spec in entries for key in load_env_creator(spec.entry_point).default_config()}
     texts = " ".join((ROAD, RUN, REFUSED, REWARDS, DRAWING, NAMED))
     assert known == {*TRAFFIC_OPTIONS, *POLICY_OPTIONS, CONNECTED, *texts.split()}
@@ -1044,9 +1161,16 @@ def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
     ({"drives_itself": True}, None, ["other_vehicles_type"]),  # an IDMVehicle looks there
     ({"drives_itself": False, "simulates": True}, None, []),  # what it simulates has vehicles of that class
 ])  # fmt: skip
-def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(kind, planner_hz, names):
-    config = {CONNECTED: True, "other_vehicles_type": "highway_env.vehicle.behavior.DefensiveVehicle"}
-    found = World("intersection-v0", config=config, planner_hz=planner_hz).options_without_effect(**kind)
+def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(
+    kind, planner_hz, names
+):
+    config = {
+        CONNECTED: True,
+        "other_vehicles_type": "highway_env.vehicle.behavior.DefensiveVehicle",
+    }
+    found = World("intersection-v0", config=config, planner_hz=planner_hz).options_without_effect(
+        **kind
+    )
     assert found == ({TRAFFIC_TOLD: names} if names else {})
 
 
@@ -1060,10 +1184,14 @@ class Refusing(HighwayEnv):
         raise ValueError("no map")
 
 
-def test_environment_that_cannot_be_reset_is_not_blamed_on_a_configuration_that_nobody_gave(register, monkeypatch):
+def test_environment_that_cannot_be_reset_is_not_blamed_on_a_configuration_that_nobody_gave(
+    register, monkeypatch
+):
     monkeypatch.setattr(Refusing, "attempts", 0)
     register("mine-v0", entry_point=Refusing)
-    with pytest.raises(WorldError, match=r"env_id: expected an environment that .* received 'mine-v0'. .*no map"):
+    with pytest.raises(
+        WorldError, match=r"env_id: expected an environment that .* received 'mine-v0'. .*no map"
+    ):
         World("mine-v0").check()
     assert Refusing.attempts == 2
     given = r"config: expected a configuration that .* received \{'duration': 9\}. .*no map"
@@ -1086,14 +1214,18 @@ def test_a_simulation_of_its_own_is_too(register):
 
 @pytest.mark.parametrize("factory", [IDMVehicle, lambda: IDMVehicle])
 def test_vehicle_class_drives_without_the_wrappers(factory):
-    wrapped = World("highway-v0", duration=6.0, wrappers=[FlattenObservation]).rollout(SCENARIO, factory)
+    wrapped = World("highway-v0", duration=6.0, wrappers=[FlattenObservation]).rollout(
+        SCENARIO, factory
+    )
     bare = World("highway-v0", duration=6.0).rollout(SCENARIO, factory)
     assert np.abs(wrapped.states - bare.states).max() < 0.01
 
 
 def test_a_planner_inside_of_the_environment_is_refused():
     world = World("highway-v0", wrappers=[FlattenObservation])
-    with pytest.raises(WorldError, match=r"wrappers: expected no wrappers= for a factory .* `env`, received Fl"):
+    with pytest.raises(
+        WorldError, match=r"wrappers: expected no wrappers= for a factory .* `env`, received Fl"
+    ):
         world.rollout(SCENARIO, lambda env: lambda seen: 1)
 
 
@@ -1132,10 +1264,14 @@ def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
 
 def test_wrapper_that_does_not_step_is_reported():
     wrappers = [partial(TimeLimit, max_episode_steps=2), Autoreset]
-    trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
+    trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(
+        SCENARIO, lambda: lambda seen: 1
+    )
     assert (trace.duration, trace.ended) == (2.0, "max_episode_steps=2")
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
-    with pytest.raises(WorldError, match=r"a step at 2.0 s that did not. Remove wrappers .* reset episodes"):
+    with pytest.raises(
+        WorldError, match=r"a step at 2.0 s that did not. Remove wrappers .* reset episodes"
+    ):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
 
 
@@ -1154,6 +1290,10 @@ def test_a_crash_that_only_the_environment_sees_is_no_collision(register):
     queue = Scenario(npcs=[[PositionInstruction(2, 5.0)]], gene_seconds=10.0)
     assert World("highway-v0").rollout(queue, IDLE).outcome is Outcome.COLLISION
     trace = World("mine-v0").rollout(queue, IDLE)
-    assert (trace.outcome, trace.ended, trace.duration < 10.0) == (Outcome.COMPLETED, "Cautious.step", True)
+    assert (trace.outcome, trace.ended, trace.duration < 10.0) == (
+        Outcome.COMPLETED,
+        "Cautious.step",
+        True,
+    )
     trace = World("mine-v0", ends="duration").rollout(queue, IDLE)
     assert (trace.outcome, trace.ended, trace.duration) == (Outcome.COMPLETED, "", 10.0)

@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 from pytest_pafot import Highway
 from pytest_pafot.algorithms.operators import crossover, mutate
 from pytest_pafot.algorithms.space import sample, space_on
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import (
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
 from tests.helpers.road_cases import violations, world_of
@@ -26,7 +30,13 @@ def world_named(name):
 
 def space_in(world, **given):
     """Return the space of scenarios of both kinds, and of all that cross, in a world."""
-    given = {"instructions": "both", "npcs": 3, "crossings": world.crossings, "gene_seconds": 2.0, **given}
+    given = {
+        "instructions": "both",
+        "npcs": 3,
+        "crossings": world.crossings,
+        "gene_seconds": 2.0,
+        **given,
+    }
     return space_on(world.speed_limit, world.longest_run, given, world.road_start)
 
 
@@ -34,7 +44,11 @@ def repeated(world, scenario, ego):
     """Return the run of a scenario, after checking that its executed scenario gives the same run."""
     trace = world.rollout(scenario, ego)
     again = world.rollout(trace.executed, ego)
-    assert (again.executed, again.driven, again.arrivals) == (trace.executed, trace.driven, trace.arrivals)
+    assert (again.executed, again.driven, again.arrivals) == (
+        trace.executed,
+        trace.driven,
+        trace.arrivals,
+    )
     assert again.states.tobytes() == trace.states.tobytes()
     return trace
 
@@ -50,7 +64,9 @@ def test_executed_scenario_gives_the_same_run_again(name, data):
     for chain, done in zip(scenario.npcs, trace.executed.npcs, strict=True):
         assert [type(gene) for gene in done] == [type(gene) for gene in chain]
         if isinstance(chain[0], LaneInstruction):
-            assert all(was.lane in (gene.lane, "keep") for gene, was in zip(chain, done, strict=True))
+            assert all(
+                was.lane in (gene.lane, "keep") for gene, was in zip(chain, done, strict=True)
+            )
 
 
 @pytest.mark.parametrize("name", ["merge-v1", "racetrack-v1", "u-turn-v1"])
@@ -58,7 +74,9 @@ def test_npcs_in_lanes_respect_limits_and_stay_on_lanes_in_bends(name):
     world, rng = world_named(name), np.random.default_rng(7)
     for number in range(4):
         traffic = TRAFFICS[number % len(TRAFFICS)]
-        trace = world.rollout(sample(space_in(world, npcs=2, traffic=traffic, instructions="lanes"), rng), idm)
+        trace = world.rollout(
+            sample(space_in(world, npcs=2, traffic=traffic, instructions="lanes"), rng), idm
+        )
         assert violations(trace, world) == [], trace.scenario.canonical()
 
 
@@ -87,8 +105,12 @@ def test_attentive_npc_in_lanes_leaves_room_for_its_target_speed():
 
     def crossed(speed):
         chain = LI("keep", 20.0), LI("right", speed)
-        scenario = Scenario(npcs=[chain], ego_lane=1, ego_speed=20.0, gene_seconds=2.0, traffic="hostile")
-        trace = Highway(duration=4.0, headway=0.9, clearance=3.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+        scenario = Scenario(
+            npcs=[chain], ego_lane=1, ego_speed=20.0, gene_seconds=2.0, traffic="hostile"
+        )
+        trace = Highway(duration=4.0, headway=0.9, clearance=3.0).rollout(
+            scenario, lambda: lambda seen: (0.0, 0.0)
+        )
         return bool((trace.npcs[:, 0, LANE] == 1).any())
 
     assert crossed(20.0)
@@ -212,7 +234,9 @@ def test_npc_waits_until_the_one_beside_it_has_left_the_lane():
 
 def test_npc_does_not_steer_into_another_npc():
     """NPC 0, to the left of NPC 1 and equally fast, has the instruction to move over; NPC 1 stays where it is."""
-    trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)
+    trace = drive(
+        scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0
+    )
     assert trace.outcome is Outcome.COMPLETED
     assert trace.arrivals[0] == (None, 75)
     assert np.all(trace.npcs[:, 0, LANE] == 0)

@@ -15,7 +15,15 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, chains, constant_speed, random_scenario, violations
+from tests.helpers.world_cases import (
+    EGOS,
+    LENGTH,
+    WIDTH,
+    chains,
+    constant_speed,
+    random_scenario,
+    violations,
+)
 
 
 def random_highway(rng, physics_hz, limits=None):
@@ -36,7 +44,11 @@ def assert_fixed_point(world, trace, ego):
     again = world.rollout(trace.executed, ego)
     assert again.executed == trace.executed
     assert again.states.tobytes() == trace.states.tobytes()
-    assert (again.outcome, again.collision, again.arrivals) == (trace.outcome, trace.collision, trace.arrivals)
+    assert (again.outcome, again.collision, again.arrivals) == (
+        trace.outcome,
+        trace.collision,
+        trace.arrivals,
+    )
 
 
 @pytest.mark.parametrize("ego", EGOS, ids=lambda ego: ego.__name__)
@@ -49,14 +61,22 @@ def test_all_limits_hold_and_executed_chain_stays_fixed(physics_hz, scenarios, s
     outcomes = []
     for number in range(scenarios):
         world = random_highway(rng, physics_hz)
-        scenario = random_scenario(rng, lanes=world.lanes, speed_limit=world.speed_limit, npcs=number % 8 + 1)
+        scenario = random_scenario(
+            rng, lanes=world.lanes, speed_limit=world.speed_limit, npcs=number % 8 + 1
+        )
         trace = world.rollout(scenario, ego)
-        assert violations(trace, world.limits, world.speed_limit) == [], (number, world, scenario.canonical())
+        assert violations(trace, world.limits, world.speed_limit) == [], (
+            number,
+            world,
+            scenario.canonical(),
+        )
         if number % 3 == 0:
             assert_fixed_point(world, trace, ego)
         outcomes.append(trace.outcome)
     assert Outcome.COLLISION in outcomes
-    assert {Outcome.COMPLETED, Outcome.OFF_ROAD} & set(outcomes), "the scenarios do not all end alike"
+    assert {Outcome.COMPLETED, Outcome.OFF_ROAD} & set(outcomes), (
+        "the scenarios do not all end alike"
+    )
 
 
 @pytest.mark.parametrize(("physics_hz", "scenarios"), [oracle(5, 120), (15, 120), oracle(50, 40)])
@@ -74,17 +94,28 @@ def test_limits_are_options_and_hold_whatever_they_are(physics_hz, scenarios):
         world = random_highway(rng, physics_hz, limits)
         scenario = random_scenario(rng, lanes=world.lanes, speed_limit=world.speed_limit)
         trace = world.rollout(scenario, EGOS[number % len(EGOS)])
-        assert violations(trace, limits, world.speed_limit) == [], (number, world, scenario.canonical())
+        assert violations(trace, limits, world.speed_limit) == [], (
+            number,
+            world,
+            scenario.canonical(),
+        )
 
 
-@pytest.mark.parametrize(("ego", "runs"), [(constant_speed, 80), (IDMVehicle, 20)], ids=["constant_speed", "IDM"])
+@pytest.mark.parametrize(
+    ("ego", "runs"), [(constant_speed, 80), (IDMVehicle, 20)], ids=["constant_speed", "IDM"]
+)
 def test_less_than_a_quarter_of_runs_is_invalid(ego, runs):
     rng = random.Random(7)
     world = Highway()
-    traces = [world.rollout(Scenario.repaired(chains(rng, 2, 6, 26.8), seed=seed), ego) for seed in range(runs)]
+    traces = [
+        world.rollout(Scenario.repaired(chains(rng, 2, 6, 26.8), seed=seed), ego)
+        for seed in range(runs)
+    ]
     assert sum(trace.outcome is Outcome.INVALID for trace in traces) < runs / 4
     started = [tick for trace in traces for arrivals in trace.arrivals for tick in arrivals]
-    assert sum(tick is not None for tick in started) > len(started) / 4, "hardly any gene reaches its cell"
+    assert sum(tick is not None for tick in started) > len(started) / 4, (
+        "hardly any gene reaches its cell"
+    )
 
 
 def drive_npc(driver, hz, *, speed, offset=0.0, heading=0.0, seconds=5.0):
@@ -104,16 +135,23 @@ def drive_npc(driver, hz, *, speed, offset=0.0, heading=0.0, seconds=5.0):
 def test_lane_change_takes_two_seconds_without_overshoot(hz, speed):
     """It ends where the director says that an NPC has arrived, half a metre before the centre of the lane."""
     offsets = [
-        offset for offset, _ in drive_npc(NpcDriver(NpcLimits(), 40.0, LENGTH, 1 / hz), hz, speed=speed, offset=-4.0)
+        offset
+        for offset, _ in drive_npc(
+            NpcDriver(NpcLimits(), 40.0, LENGTH, 1 / hz), hz, speed=speed, offset=-4.0
+        )
     ]
-    assert next(tick for tick, offset in enumerate(offsets) if offset > -0.5) / hz == pytest.approx(2.0, abs=0.35)
+    assert next(tick for tick, offset in enumerate(offsets) if offset > -0.5) / hz == pytest.approx(
+        2.0, abs=0.35
+    )
     assert offsets[-1] == pytest.approx(0.0, abs=0.01)
     assert max(offsets) < 0.01
 
 
 def test_turned_npc_loses_a_tenth_of_its_angle_in_a_fiftieth_of_a_second():
     """In the centre of its lane it turns by five times its angle per second: by a tenth of it in a fiftieth."""
-    ((_, heading),) = drive_npc(NpcDriver(NpcLimits(), 40.0, LENGTH, 0.02), 50, speed=20.0, heading=0.001, seconds=0.02)
+    ((_, heading),) = drive_npc(
+        NpcDriver(NpcLimits(), 40.0, LENGTH, 0.02), 50, speed=20.0, heading=0.001, seconds=0.02
+    )
     assert heading == pytest.approx(0.0009, rel=1e-3)
 
 
@@ -152,7 +190,9 @@ def test_lane_that_vanishes_inside_gene_is_not_approached():
         return lambda observation: (0.0, -0.01 * observation.ego.y - 0.3 * observation.ego.heading)
 
     npc = [PositionInstruction(1, 20.0)]
-    trace = Highway().rollout(Scenario(npcs=[npc, [PositionInstruction(4, 20.0)]], ego_lane=1), to_the_left)
+    trace = Highway().rollout(
+        Scenario(npcs=[npc, [PositionInstruction(4, 20.0)]], ego_lane=1), to_the_left
+    )
     assert violations(trace, NpcLimits(), 26.8) == []
     assert trace.npcs[:, 0, Y].min() > -1.0
 
@@ -172,7 +212,12 @@ def test_limits_hold_around_reversing_or_spinning_ego():
     rng = random.Random(12)
     world = World("highway-v0", config={"action": {"type": "ContinuousAction"}}, duration=12.0)
     for _ in range(25):
-        scenario = Scenario.repaired(chains(rng, 3, 4, 30.0), ego_lane=rng.randrange(4), gene_seconds=3.0)
+        scenario = Scenario.repaired(
+            chains(rng, 3, 4, 30.0), ego_lane=rng.randrange(4), gene_seconds=3.0
+        )
         action = (rng.uniform(-1, 1), rng.choice([0.0, 0.1, -0.3, 0.9]))
         trace = world.rollout(scenario, lambda action=action: lambda observation: action)
-        assert violations(trace, world.limits, world.speed_limit) == [], (scenario.canonical(), action)
+        assert violations(trace, world.limits, world.speed_limit) == [], (
+            scenario.canonical(),
+            action,
+        )

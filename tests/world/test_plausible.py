@@ -38,7 +38,12 @@ def spoil(now, before, fault, *, is_first):
         return [GONE] * 4
     if not is_first:
         return [x, y, heading, speed]
-    moved = {"jump": (49.0, 0.0, 0.0), "jump back": (-49.0, 0.0, 0.0), "aside": (0.0, 3.0, 0.0), "faster": (0, 0, 15.0)}
+    moved = {
+        "jump": (49.0, 0.0, 0.0),
+        "jump back": (-49.0, 0.0, 0.0),
+        "aside": (0.0, 3.0, 0.0),
+        "faster": (0, 0, 15.0),
+    }
     dx, dy, faster = moved[fault]
     return [x + dx, y + dy, heading, speed + faster]
 
@@ -60,7 +65,9 @@ class Faults:
         for number in range(len(self.cars)) if self.fault == "all freeze" else [self.number]:
             if self.fault and self.ticks >= self.tick:
                 is_first = self.ticks == self.tick
-                self.cars[number] = spoil(self.cars[number], before[number], self.fault, is_first=is_first)
+                self.cars[number] = spoil(
+                    self.cars[number], before[number], self.fault, is_first=is_first
+                )
 
 
 class FaultyBicycle(Faults, Bicycle):
@@ -83,7 +90,9 @@ class FaultyRoad(Road):
             if fault and self.ticks >= tick:
                 vehicle = vehicles[each]
                 now = (*vehicle.position, vehicle.heading, vehicle.speed)
-                *place, vehicle.heading, vehicle.speed = spoil(now, before[each], fault, is_first=self.ticks == tick)
+                *place, vehicle.heading, vehicle.speed = spoil(
+                    now, before[each], fault, is_first=self.ticks == tick
+                )
                 vehicle.position = np.array(place)
 
 
@@ -131,7 +140,11 @@ def test_of_200_runs_those_20_with_a_planted_jump_or_freeze_are_invalid_and_no_o
     )
     found, wrong = 0, []
     for number in range(RUNS):
-        every, kind, scenario = RUNS // PLANTED, kinds[(number + number // 10) % 5], sample(SPACE, rng_of(number))
+        every, kind, scenario = (
+            RUNS // PLANTED,
+            kinds[(number + number // 10) % 5],
+            sample(SPACE, rng_of(number)),
+        )
         trace, expected = world_of(kind).rollout(scenario, STRAIGHT), ("", "", 0)
         if number % every == 0:
             fault, half = faults[number // every % len(faults)], math.ceil(trace.physics_hz / 2)
@@ -139,14 +152,25 @@ def test_of_200_runs_those_20_with_a_planted_jump_or_freeze_are_invalid_and_no_o
             tick, vehicle = (able[rng_of(number).integers(len(able))] + [2, 0]).tolist()
             trace = world_of(kind, fault, vehicle, tick).rollout(scenario, STRAIGHT)
             # An NPC that is told where to be is known at once to be elsewhere.
-            first = vehicle if fault != "all freeze" else int(kind == "late" and len(trace.sizes) > 1)
+            first = (
+                vehicle if fault != "all freeze" else int(kind == "late" and len(trace.sizes) > 1)
+            )
             late = half - 1 if "freeze" in fault and not (kind == "late" and first) else 0
-            method = "FaultyEnv.step" if kind == "env" else f"{world_of(kind).maker.__name__}.states"
-            expected = (f"{method}, tick {tick + late}", f"NPC {first - 1}" if first else "the ego", tick + late)
+            method = (
+                "FaultyEnv.step" if kind == "env" else f"{world_of(kind).maker.__name__}.states"
+            )
+            expected = (
+                f"{method}, tick {tick + late}",
+                f"NPC {first - 1}" if first else "the ego",
+                tick + late,
+            )
         text, seen = trace.users_error_text, ("", "", 0)
         if text:
             assert trace.outcome is Outcome.INVALID
-            seen = (text.partition(":")[0].removesuffix(" after step"), expected[1] if expected[1] in text else text)
+            seen = (
+                text.partition(":")[0].removesuffix(" after step"),
+                expected[1] if expected[1] in text else text,
+            )
             seen = (*seen, trace.ticks + 1 - ("changed its stated speed" in text))
         found += bool(text)
         wrong += [] if seen == expected else [(number, kind, expected, seen, repr(trace))]
@@ -179,7 +203,9 @@ def test_a_simulator_that_stops_vehicles_before_they_touch_hides_no_collision():
     trace = SimulatorWorld(type("Cushion", (Crashes,), {"room": 1.5})).rollout(AHEAD, STRAIGHT)
     assert trace.outcome is Outcome.INVALID
     assert trace.users_error_text.startswith("Cushion.states, tick ")
-    assert trace.users_error_text.endswith("the ego changed its stated speed from 22.0 to 0.0 m/s in a tick")
+    assert trace.users_error_text.endswith(
+        "the ego changed its stated speed from 22.0 to 0.0 m/s in a tick"
+    )
 
 
 def test_a_policy_that_a_jump_of_a_speed_confuses_has_not_failed():
@@ -240,7 +266,13 @@ SPEED_OF_A_HIT = 2.4
 
 def test_a_vehicle_may_slide_on_sideways_with_its_speed_along_its_heading():
     sideways = [(0.2 * tick * tick / 2, 1.0 * tick, 0.0, 0.2 * tick) for tick in range(30)]
-    assert moved((0, 0, 0, 15.0), *[(x, y, 0.0, 15.0 - tick / 2) for tick, (x, y, *_) in enumerate(sideways[1:])]) == ""
+    assert (
+        moved(
+            (0, 0, 0, 15.0),
+            *[(x, y, 0.0, 15.0 - tick / 2) for tick, (x, y, *_) in enumerate(sideways[1:])],
+        )
+        == ""
+    )
 
 
 @table(("acceleration", "is_plausible"), [(-90.0, True), (0.0, False)])
@@ -366,13 +398,19 @@ def test_what_differs_between_two_runs_is_told_with_its_cause():
     worn, sound = SimulatorWorld(Worn, duration=4.0), SimulatorWorld(Bicycle, duration=4.0)
     first, again = (worn.rollout(AHEAD, STRAIGHT) for _ in range(2))
     assert first_difference(first, first) == ""
-    assert first_difference(first, again) == f"speed of the ego differs by 0.0002 m/s after 0.0667 s; {SURVIVES}"
+    assert (
+        first_difference(first, again)
+        == f"speed of the ego differs by 0.0002 m/s after 0.0667 s; {SURVIVES}"
+    )
     brakes = sound.rollout(AHEAD, lambda: lambda seen: (-1.0 if seen.time > 0.9 else 0.0, 0.0))
     assert first_difference(sound.rollout(AHEAD, STRAIGHT), brakes) == (
         "speed of the ego differs by 0.067 m/s after 1.07 s; the policy had decided differently"
     )
     shorter = SimulatorWorld(Bicycle, duration=3.0).rollout(AHEAD, STRAIGHT)
-    assert first_difference(sound.rollout(AHEAD, STRAIGHT), shorter) == "safe after 4 s, then safe after 3 s"
+    assert (
+        first_difference(sound.rollout(AHEAD, STRAIGHT), shorter)
+        == "safe after 4 s, then safe after 3 s"
+    )
 
 
 def test_a_finding_of_a_simulator_that_does_not_repeat_says_when_and_by_how_much():

@@ -9,7 +9,13 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Y
 from pytest_pafot.world import Highway, Observation, VehicleState, WorldError
-from pytest_pafot.world.reference_drivers import CRITICAL, HARD_BRAKING, REFERENCES, CarefulHuman, Leader
+from pytest_pafot.world.reference_drivers import (
+    CRITICAL,
+    HARD_BRAKING,
+    REFERENCES,
+    CarefulHuman,
+    Leader,
+)
 
 HZ = 30
 NAMES = tuple(REFERENCES)
@@ -29,7 +35,9 @@ def drive(driver, *others, seconds=10.0, speed=20.0, hz=HZ):
         time = tick / hz
         states = tuple(other(time) for other in others)
         gap = states[0].x - x - 5.0
-        acceleration, steering = driver(Observation(time, car(x, speed=speed), states, 4, 4.0, 26.8))
+        acceleration, steering = driver(
+            Observation(time, car(x, speed=speed), states, 4, 4.0, 26.8)
+        )
         assert steering == 0.0
         rows.append((time, gap, speed, acceleration))
         x += speed / hz
@@ -43,7 +51,10 @@ def leader(gap, speed, brakes_at=math.inf, braking=0.0):
     def state(time):
         since = max(time - brakes_at, 0.0)
         braked = min(since, speed / braking) if braking else 0.0
-        return car(5.0 + gap + speed * time - braking * braked * (since - braked / 2), speed=speed - braking * braked)
+        return car(
+            5.0 + gap + speed * time - braking * braked * (since - braked / 2),
+            speed=speed - braking * braked,
+        )
 
     return state
 
@@ -61,14 +72,18 @@ def cut_in(gap, speed, begins, seconds=2.0):
 
 
 def first(rows, condition):
-    return next(time for time, gap, speed, acceleration in rows if condition(gap, speed, acceleration))
+    return next(
+        time for time, gap, speed, acceleration in rows if condition(gap, speed, acceleration)
+    )
 
 
 class TestCarefulHuman:
     def test_careful_human_brakes_after_perceiving_vehicle_leaving_lane(self):
         rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
         leaves = 1.0 + 0.375 / 2.0
-        assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(leaves + 0.4 + 0.75, abs=2.5 / HZ)
+        assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(
+            leaves + 0.4 + 0.75, abs=2.5 / HZ
+        )
 
     def test_careful_human_builds_up_full_braking_gradually(self):
         rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
@@ -82,13 +97,18 @@ class TestCarefulHuman:
         assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 1.15, abs=3 / HZ)
 
     @pytest.mark.parametrize(("ticks", "is_answered"), [(5, False), (6, True)])
-    def test_careful_human_answers_hard_braking_that_lasts_for_the_time_of_perception(self, ticks, is_answered):
+    def test_careful_human_answers_hard_braking_that_lasts_for_the_time_of_perception(
+        self, ticks, is_answered
+    ):
         """As the rules count, 6 ticks of hard braking at 15 Hz are 0.4 s, whatever the leader does afterwards."""
 
         def ahead(time):
             since = max(time - 1.0, 0.0)
             braked = min(since, ticks / 15)
-            return car(5.0 + 38.0 + 20.0 * time - 10.0 * braked * (since - braked / 2), speed=20.0 - 10.0 * braked)
+            return car(
+                5.0 + 38.0 + 20.0 * time - 10.0 * braked * (since - braked / 2),
+                speed=20.0 - 10.0 * braked,
+            )
 
         rows = drive(CarefulHuman(), ahead, hz=15)
         assert (min(a for *_, a in rows) < -4.1) == is_answered
@@ -117,7 +137,9 @@ class TestCarefulHuman:
         assert perceived < first(rows, lambda gap, speed, a: a < -4.0) < perceived + 0.2
         assert first(drive(CarefulHuman(), both[1]), lambda gap, speed, a: a < 0) > perceived + 0.7
 
-    def test_careful_human_brakes_hard_at_once_for_vehicle_for_which_it_already_moved_its_foot(self):
+    def test_careful_human_brakes_hard_at_once_for_vehicle_for_which_it_already_moved_its_foot(
+        self,
+    ):
         """The vehicle becomes a danger 0.8 s after it has come in, while the foot is on its way."""
         rows = drive(CarefulHuman(), cut_in(45.0, 5.0, begins=1.0))
         brakes = first(rows, lambda gap, speed, a: a < 0)
@@ -125,10 +147,14 @@ class TestCarefulHuman:
         assert first(rows, lambda gap, speed, a: a < -4.1) < brakes + 0.6
 
     def test_careful_human_does_not_speed_up_until_foot_is_off_the_brake(self):
-        rows = drive(CarefulHuman(), lambda time: leader(10.0, 19.0)(time) if time < 3.0 else car(1000.0))
+        rows = drive(
+            CarefulHuman(), lambda time: leader(10.0, 19.0)(time) if time < 3.0 else car(1000.0)
+        )
         brakes = [time for time, *_, a in rows if a <= -0.5]
         assert max(brakes) < 3.0
-        assert first(rows, lambda gap, speed, a: a > 0) == pytest.approx(max(brakes) + 0.75, abs=2.5 / HZ)
+        assert first(rows, lambda gap, speed, a: a > 0) == pytest.approx(
+            max(brakes) + 0.75, abs=2.5 / HZ
+        )
 
     def test_cannot_avoid_what_comes_within_the_reaction_time(self):
         rows = drive(CarefulHuman(), cut_in(5.0, 8.0, begins=1.0, seconds=0.5))
@@ -142,13 +168,17 @@ class TestCarefulHuman:
 
     @pytest.mark.parametrize(("y", "sideways"), [(0.3, 0.0), (0.8, 0.004), (0.0, 0.29)])
     def test_careful_human_ignores_vehicle_that_stays_in_next_lane(self, y, sideways):
-        rows = drive(CarefulHuman(), lambda time: car(40.0 + 8 * time, y + sideways * time, 8.0), seconds=4.0)
+        rows = drive(
+            CarefulHuman(), lambda time: car(40.0 + 8 * time, y + sideways * time, 8.0), seconds=4.0
+        )
         assert all(a == 0.0 for *_, a in rows)
 
 
 def scenario(*speeds, cell=2, lane=1):
     """Return a scenario with one NPC that stays in a cell."""
-    return Scenario(npcs=[[PositionInstruction(cell, speed) for speed in speeds]], ego_lane=lane, ego_speed=22.0)
+    return Scenario(
+        npcs=[[PositionInstruction(cell, speed) for speed in speeds]], ego_lane=lane, ego_speed=22.0
+    )
 
 
 BRAKES = scenario(22.0, 4.0, 4.0)
@@ -170,7 +200,10 @@ class TestInTheWorld:
 
     def test_can_be_the_ads_of_a_search(self, name):
         trace = Highway(ads_hz=15, duration=20.0).rollout(BRAKES, REFERENCES[name])
-        assert trace.states.tobytes() == Highway(duration=20.0).rollout_reference(BRAKES, name).states.tobytes()
+        assert (
+            trace.states.tobytes()
+            == Highway(duration=20.0).rollout_reference(BRAKES, name).states.tobytes()
+        )
 
 
 def test_unknown_driver_is_refused_with_the_known_names():
@@ -178,9 +211,13 @@ def test_unknown_driver_is_refused_with_the_known_names():
         Highway().rollout_reference(BRAKES, "me")
 
 
-def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego_distance=40.0, ahead=5.0):
+def crossing(
+    time, ego, *, kind="crossing", priority="npc", distance, speed, ego_distance=40.0, ahead=5.0
+):
     """Return a vehicle at a constant speed before its zone; ``ego`` is how far the ego has driven until then [m]."""
-    zone = Zone(way="a>b", kind=kind, origin="left", ego=(0.0, 10.0), npc=(0.0, 10.0), priority=priority)
+    zone = Zone(
+        way="a>b", kind=kind, origin="left", ego=(0.0, 10.0), npc=(0.0, 10.0), priority=priority
+    )
     return CrossingVehicle(
         id=0, zone=zone, distance=distance - speed * time, ego_distance=ego_distance - ego, ahead=ahead, right=-5.0,
         heading=math.pi / 2, speed=speed, length=5.0, width=2.0,
@@ -225,13 +262,21 @@ class TestAtAZone:
     def test_driver_stops_for_one_vehicle_although_none_is_needed_for_another(self, name):
         """The second one is a kilometre away from its zone, in which the first one stands."""
         stands, far = {"distance": -5.0, "speed": 0.0}, {"distance": 1000.0, "speed": 1.0}
-        assert drive_up(REFERENCES[name](), **stands, second=far) == drive_up(REFERENCES[name](), **stands)
-        assert drive_up(REFERENCES[name](), **far, second=stands) == drive_up(REFERENCES[name](), **stands)
+        assert drive_up(REFERENCES[name](), **stands, second=far) == drive_up(
+            REFERENCES[name](), **stands
+        )
+        assert drive_up(REFERENCES[name](), **far, second=stands) == drive_up(
+            REFERENCES[name](), **stands
+        )
 
     def test_driver_does_not_wait_for_a_late_vehicle(self, name):
         for kind, seconds in CRITICAL.items():
-            later = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds + 0.5), speed=10.0)
-            sooner = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds - 1.5), speed=10.0)
+            later = drive_up(
+                REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds + 0.5), speed=10.0
+            )
+            sooner = drive_up(
+                REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds - 1.5), speed=10.0
+            )
             assert min(speed for _, left, speed, _ in later if left > 0) == 10.0
             assert min(speed for _, left, speed, _ in sooner if left > 0) < 9.0
 
@@ -247,5 +292,12 @@ class TestAtAZone:
         assert min(a for *_, a in cannot) < -2.0
 
     def test_follows_one_that_joins_ahead_of_it(self, name):
-        rows = drive_up(REFERENCES[name](), kind="merging", priority="ego", distance=-1.0, speed=4.0, seconds=3.0)
+        rows = drive_up(
+            REFERENCES[name](),
+            kind="merging",
+            priority="ego",
+            distance=-1.0,
+            speed=4.0,
+            seconds=3.0,
+        )
         assert 4.0 <= min(speed for _, _, speed, _ in rows) < 9.0

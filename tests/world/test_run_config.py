@@ -28,7 +28,9 @@ def starts(world, scenario, ego=constant_speed):
 
 
 def hold(*cells, **fields):
-    return Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells], gene_seconds=0.2, **fields)
+    return Scenario(
+        npcs=[[PositionInstruction(cell, 20.0)] for cell in cells], gene_seconds=0.2, **fields
+    )
 
 
 @table("headway", [1.0, 2.0, 4.0])
@@ -41,7 +43,9 @@ def test_npcs_start_alongside_ego_or_at_the_headway(headway, speed):
         assert npc[Y] - ego[Y] == 4.0 * cell.column
         bumper_to_bumper = abs(npc[X] - ego[X]) - LENGTH
         assert np.sign(npc[X] - ego[X]) == cell.row
-        assert bumper_to_bumper == pytest.approx(max(headway * speed, world.clearance) if cell.row else -LENGTH)
+        assert bumper_to_bumper == pytest.approx(
+            max(headway * speed, world.clearance) if cell.row else -LENGTH
+        )
     assert set(trace.states[0, :, SPEED]) == {speed}
     assert set(trace.states[0, :, HEADING]) == {0.0}
     assert not trace.states[0, :, 4:6].any(), "nobody has accelerated or steered yet"
@@ -56,7 +60,10 @@ def test_all_vehicles_start_apart_on_the_road():
         assert (start[:, LANE] >= 0).all()
         assert (start[:, X] > LENGTH).all()
         for a, b in itertools.combinations(start, 2):
-            assert abs(a[X] - b[X]) >= LENGTH + world.clearance - 1e-9 or abs(a[Y] - b[Y]) >= WIDTH + 1.0
+            assert (
+                abs(a[X] - b[X]) >= LENGTH + world.clearance - 1e-9
+                or abs(a[Y] - b[Y]) >= WIDTH + 1.0
+            )
         assert np.isinf(criticality.ttc(trace)[0]).all()
         assert criticality.min_gap(trace) > 1.0
 
@@ -76,7 +83,9 @@ def test_literal_grid_of_paper_starts_without_contact():
     world = Highway(clearance=0.0, headway=0.0)
     trace = starts(world, hold(*Cell, ego_lane=1, ego_speed=20.0))
     assert trace.duration == pytest.approx(0.2)
-    assert np.abs(trace.npcs[0, :, X] - trace.ego[0, X]).tolist() == [LENGTH] * 3 + [0.0] + [LENGTH] * 3 + [0.0]
+    assert np.abs(trace.npcs[0, :, X] - trace.ego[0, X]).tolist() == [LENGTH] * 3 + [0.0] + [
+        LENGTH
+    ] * 3 + [0.0]
 
 
 class Truck(Vehicle):
@@ -113,7 +122,9 @@ def test_npc_starts_no_faster_than_bend_allows():
 
 
 def test_cells_around_a_long_ego_are_reached_safely():
-    front = Scenario(npcs=[[PositionInstruction(2, 20.0)], [PositionInstruction(6, 20.0)]], ego_speed=20.0)
+    front = Scenario(
+        npcs=[[PositionInstruction(2, 20.0)], [PositionInstruction(6, 20.0)]], ego_speed=20.0
+    )
     trace = Highway().rollout(front, Truck)
     for npc, (arrival,) in enumerate(trace.arrivals):
         gap = abs(trace.npcs[arrival, npc, X] - trace.ego[arrival, X]) - (16.0 + LENGTH) / 2
@@ -121,7 +132,9 @@ def test_cells_around_a_long_ego_are_reached_safely():
     assert criticality.min_gap(trace) > 0
 
 
-@pytest.mark.parametrize("ego", [IDMVehicle, lambda: lambda observation: 1], ids=["vehicle class", "policy"])
+@pytest.mark.parametrize(
+    "ego", [IDMVehicle, lambda: lambda observation: 1], ids=["vehicle class", "policy"]
+)
 def test_gym_worlds_start_in_the_same_way(ego):
     world = World("highway-v0", duration=0.2)
     trace = starts(world, hold(*Cell, ego_lane=1, ego_speed=22.0), ego)

@@ -76,7 +76,9 @@ class Bicycle(Simulator):
     def way(self, heading):
         """Return where a heading points, along x and y."""
         x, y = math.cos(heading), math.sin(heading)
-        return {"y to x": (y, x), "x to -y": (x, -y), "-x to y": (-x, y)}.get(self.says("headings"), (x, y))
+        return {"y to x": (y, x), "x to -y": (x, -y), "-x to y": (-x, y)}.get(
+            self.says("headings"), (x, y)
+        )
 
     def step(self, controls):
         dt, unit = 1 / self.says("hz"), self.says("metres_per_second") / self.says("metres")
@@ -116,20 +118,30 @@ def swerving():
 
     def decide(seen):
         if int(seen.time) % 4 < 2:
-            return LaneCommand(lane=min(seen.ego.lane + int(seen.time) % 2, 3), speed=20.0 - seen.time / 2)
+            return LaneCommand(
+                lane=min(seen.ego.lane + int(seen.time) % 2, 3), speed=20.0 - seen.time / 2
+            )
         return 1.5 - seen.time / 4, 0.004 * math.sin(seen.time)
 
     return decide
 
 
 def scenarios():
-    cells = tuple(PositionInstruction(cell, speed) for cell, speed in ((2, 10.0), (3, 24.0), (4, 19.0)))
-    lanes = tuple(LaneInstruction(lane, speed) for lane, speed in (("left", 12.0), ("keep", 26.0), ("right", 5.0)))
+    cells = tuple(
+        PositionInstruction(cell, speed) for cell, speed in ((2, 10.0), (3, 24.0), (4, 19.0))
+    )
+    lanes = tuple(
+        LaneInstruction(lane, speed)
+        for lane, speed in (("left", 12.0), ("keep", 26.0), ("right", 5.0))
+    )
     common = {"gene_seconds": 4.0, "ego_lane": 1}
     return [
         Scenario(npcs=(cells, lanes), **common),
         Scenario(
-            npcs=(lanes, cells, lanes[::-1]), traffic="everyday", vehicles=("truck", "car", "motorcycle"), **common
+            npcs=(lanes, cells, lanes[::-1]),
+            traffic="everyday",
+            vehicles=("truck", "car", "motorcycle"),
+            **common,
         ),
         Scenario(npcs=(lanes[1:], cells), ego_speed=17.0, seed=5, **common),
     ]
@@ -139,7 +151,8 @@ def same(one, other):
     """Return whether two runs have the same states, decisions and end, to the last bit."""
     return (
         np.array_equal(one.states, other.states)
-        and (one.outcome, one.collision, one.actions) == (other.outcome, other.collision, other.actions)
+        and (one.outcome, one.collision, one.actions)
+        == (other.outcome, other.collision, other.actions)
         and (one.arrivals, one.executed) == (other.arrivals, other.executed)
     )
 
@@ -150,9 +163,15 @@ def test_simulator_with_the_same_physics_drives_the_runs_of_a_highway_to_the_bit
     assert same(in_toy, on_highway)
     tick, name = on_highway.ticks // 2, "careful-human"
     assert same(TOY.take_over(in_toy, tick, name), HIGHWAY.take_over(on_highway, tick, name))
-    assert same(TOY.rollout_reference(scenario, "careful-human"), HIGHWAY.rollout_reference(scenario, "careful-human"))
+    assert same(
+        TOY.rollout_reference(scenario, "careful-human"),
+        HIGHWAY.rollout_reference(scenario, "careful-human"),
+    )
     first = on_highway.actions[:7]
-    repeated = (world.rollout(scenario, lambda: lambda _: (0.5, 0.0), decisions=first) for world in (TOY, HIGHWAY))
+    repeated = (
+        world.rollout(scenario, lambda: lambda _: (0.5, 0.0), decisions=first)
+        for world in (TOY, HIGHWAY)
+    )
     assert same(*repeated)
 
 
@@ -198,7 +217,10 @@ def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
 def test_places_of_objects_are_those_of_their_centres_whatever_those_of_vehicles_are():
     given = {"obstacles": ((450.0, 4.0, 0.2, 2.0, 1.0),)}
     for stated in ({}, {"reference": "front"}, {"reference": "rear axle", "rear_axle_offset": 1.4}):
-        assert SimulatorWorld(type("Other", (Bicycle,), given | stated)).rules.obstacles == given["obstacles"]
+        assert (
+            SimulatorWorld(type("Other", (Bicycle,), given | stated)).rules.obstacles
+            == given["obstacles"]
+        )
 
 
 @table("begin", {
@@ -212,7 +234,10 @@ def test_straight_lanes_in_any_direction_are_the_straight_road(begin):
     class Turned(Bicycle):
         lanes = tuple(
             tuple(
-                (x0 + x * math.cos(turn) - y * math.sin(turn), y0 + x * math.sin(turn) + y * math.cos(turn))
+                (
+                    x0 + x * math.cos(turn) - y * math.sin(turn),
+                    y0 + x * math.sin(turn) + y * math.cos(turn),
+                )
                 for x in (0.0, 2000.0)
             )
             for y in (0.0, 4.0, 8.0, 12.0)
@@ -248,9 +273,9 @@ def test_lanes_of_a_circle_are_arcs_of_its_radius():
     for (_, _, number), lane in network.lanes_dict().items():
         assert lane.radius == pytest.approx(400.0 - 4.0 * number, rel=3e-3)
         assert np.hypot(*(lane.center - np.array([0.0, 400.0]))) == pytest.approx(0.0, abs=1.3)
-        assert np.hypot(*(lane.position(lane.length / 2, 0) - np.array([0.0, 400.0]))) == pytest.approx(
-            400.0 - 4.0 * number, abs=5e-3
-        )
+        assert np.hypot(
+            *(lane.position(lane.length / 2, 0) - np.array([0.0, 400.0]))
+        ) == pytest.approx(400.0 - 4.0 * number, abs=5e-3)
 
 
 def test_ego_that_keeps_its_lane_stays_on_its_circle():
@@ -269,7 +294,9 @@ def test_take_over_repeats_a_run_in_a_bend_to_the_bit():
     scenario = Scenario(npcs=((PositionInstruction(2, 15.0),),), ego_lane=1, ego_speed=20.0)
     trace = RING.rollout(scenario, swerving)
     taken = RING.take_over(trace, trace.ticks // 2, "careful-human")
-    assert np.array_equal(taken.states[: trace.ticks // 2 + 1], trace.states[: trace.ticks // 2 + 1])
+    assert np.array_equal(
+        taken.states[: trace.ticks // 2 + 1], trace.states[: trace.ticks // 2 + 1]
+    )
     again = RING.rollout(scenario, lambda: pytest.fail, decisions=trace.actions)
     assert same(again, trace)
 
@@ -288,7 +315,8 @@ def test_short_straight_road_ends_runs_where_it_ends():
 
     world = SimulatorWorld(Short)
     trace = world.rollout(
-        Scenario(npcs=BEHIND, ego_lane=0, ego_speed=22.0, gene_seconds=30.0), lambda: lambda _: (0.0, 0.0)
+        Scenario(npcs=BEHIND, ego_lane=0, ego_speed=22.0, gene_seconds=30.0),
+        lambda: lambda _: (0.0, 0.0),
     )
     assert trace.outcome is Outcome.END_OF_ROAD
     assert trace.states[-1, 0, 0] == pytest.approx(397.5, abs=2.0)
@@ -335,7 +363,11 @@ def test_lanes_from_the_right_or_that_overlap_are_refused():
     for lanes, field, received in (
         (Ring.lanes[::-1], "lanes[1]", "a lane 4.0 m to the left of the previous lane"),
         ([arc(400.0, 3.0, y=3.0 * number) for number in range(3)], "lane_width", "4.00 m"),
-        ([[(x, y + across) for x, y in arc(100.0, 1.5)] for across in (0.0, 4.0)], "lanes[1]", "a lane that is"),
+        (
+            [[(x, y + across) for x, y in arc(100.0, 1.5)] for across in (0.0, 4.0)],
+            "lanes[1]",
+            "a lane that is",
+        ),
     ):
         with pytest.raises(WorldError) as error:
             SimulatorWorld(type("Odd", (Ring,), {"lanes": lanes})).check()
@@ -352,7 +384,10 @@ class Ticks(Bicycle):
     dt, hz = 0.03, 1 / 0.03
 
     def states(self):
-        return [(*row[:2], row[2] + 2 * math.pi * round(row[0] / self.dt), row[3]) for row in super().states()]
+        return [
+            (*row[:2], row[2] + 2 * math.pi * round(row[0] / self.dt), row[3])
+            for row in super().states()
+        ]
 
 
 @table(("members", "rates"), {
@@ -366,7 +401,9 @@ class Ticks(Bicycle):
 def test_rates_are_whole_numbers_wherever_they_are_whole(members, rates):
     world = broken(**members)
     assert (world.physics_hz, world.rules.ads_hz) == rates
-    assert [type(each) is int for each in (world.physics_hz, world.rules.ads_hz)] == [type(e) is int for e in rates]
+    assert [type(each) is int for each in (world.physics_hz, world.rules.ads_hz)] == [
+        type(e) is int for e in rates
+    ]
 
 
 def test_hz_of_a_simulator_that_states_dt_follows_from_it():
@@ -400,7 +437,10 @@ def test_rates_and_points_that_do_not_fit_are_refused_with_what_does(members, ad
         world.check()
 
 
-@table("lanes", [Ticks.lanes, [[(x, 4.0 * lane) for x in range(0, 900, 100)] for lane in range(3)], Ring.lanes])
+@table(
+    "lanes",
+    [Ticks.lanes, [[(x, 4.0 * lane) for x in range(0, 900, 100)] for lane in range(3)], Ring.lanes],
+)
 def test_search_in_ticks_of_30_ms_saves_files_that_replay_to_the_bit(lanes):
     world = SimulatorWorld(type("Ticks", (Ticks,), {"lanes": lanes}), duration=20.0)
     found = explore(lambda: lambda _: (0.0, 0.0), holds=holds, world=world, runs=6, seed=1)
@@ -409,7 +449,9 @@ def test_search_in_ticks_of_30_ms_saves_files_that_replay_to_the_bit(lanes):
     for each, sighting in zip(found.findings, found.sightings, strict=True):
         saved = parsed(Path(f"{each.id}.pafot.yaml"), text_of(each).encode())
         assert (saved.scenario, saved.world) == (each.scenario, each.world)
-        again = check_named_world(saved.world, world).rollout(saved.scenario, lambda: lambda _: (0.0, 0.0))
+        again = check_named_world(saved.world, world).rollout(
+            saved.scenario, lambda: lambda _: (0.0, 0.0)
+        )
         assert again.states.tobytes() == sighting.run.trace.states.tobytes()
         assert again.ticks == round(saved.expect.time / 0.03)
         assert [*again.decision_ticks][:3] == [0, 6, 12]
@@ -466,14 +508,22 @@ def holds(run):
 
 def test_search_with_an_ego_that_obeys_late_finds_when_a_careful_driver_avoids_a_collision():
     found = explore(
-        lambda: lambda _: (0.0, 0.0), holds=holds, world=SimulatorWorld(Late, duration=20.0), runs=12, seed=1
+        lambda: lambda _: (0.0, 0.0),
+        holds=holds,
+        world=SimulatorWorld(Late, duration=20.0),
+        runs=12,
+        seed=1,
     )
     assert any(each.expect.takeover for each in found.findings)
 
 
 def test_npc_that_is_not_put_in_its_place_is_refused():
-    world = SimulatorWorld(type("Own", (Bicycle,), {"moves_ego_only": True, "hz": 15, "step": half}), duration=4.0)
-    with pytest.raises(WorldError, match=r"Own.states, tick 1 after step: expected x = .* for NPC 0"):
+    world = SimulatorWorld(
+        type("Own", (Bicycle,), {"moves_ego_only": True, "hz": 15, "step": half}), duration=4.0
+    )
+    with pytest.raises(
+        WorldError, match=r"Own.states, tick 1 after step: expected x = .* for NPC 0"
+    ):
         world.rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
 
 
@@ -529,19 +579,29 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("at_front", 'reference = "front"')],
+    [
+        ("from_north", 'headings = "y to x"'),
+        ("speed_limits", "speed_limit"),
+        ("at_front", 'reference = "front"'),
+    ],
 )
 def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
     """Each name is in this file once, as it would be in a user's class."""
     with pytest.raises(
-        WorldError, match=rf"Broken\.{name}: .* attribute without effect. Write {write}, or rename it to _{name} "
+        WorldError,
+        match=rf"Broken\.{name}: .* attribute without effect. Write {write}, or rename it to _{name} ",
     ):
         broken(**{name: True}).check()
 
 
 def test_a_simulator_may_have_names_of_its_own():
     """Also ones that are nearly those of statements, if its source reads them."""
-    broken(lane_widths=(4.0, 4.0), colour="red", _speed_limit=3.0, obstacle=lambda self: self.lane_widths).check()
+    broken(
+        lane_widths=(4.0, 4.0),
+        colour="red",
+        _speed_limit=3.0,
+        obstacle=lambda self: self.lane_widths,
+    ).check()
 
 
 class Client:
@@ -585,7 +645,9 @@ def before(self, controls):
     "old states": ({"step": before, "states": lambda self: getattr(self, "last", self.cars)},
                    r"0.00 m, .* states\(\) return the states after the step\?.* pytest_pafot.testing.check_world"),
 }.values())  # fmt: skip
-def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(members, received):
+def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(
+    members, received
+):
     members = {"step": along(math.cos, math.sin), **members}
     told = rf"Broken.states, tick 1: expected the ego to move .* m in the direction of its heading, .*{received}"
     with pytest.raises(WorldError, match=told):
@@ -606,7 +668,9 @@ def test_method_that_does_not_return_is_ended(monkeypatch):
             pass
 
     world = SimulatorWorld(type("Stuck", (Bicycle,), {"step": wait}), duration=4.0, hang_limit=0.02)
-    with pytest.raises(WorldError, match=r"Stuck.step, tick 1: expected a return within 0.2 s, received none"):
+    with pytest.raises(
+        WorldError, match=r"Stuck.step, tick 1: expected a return within 0.2 s, received none"
+    ):
         world.rollout(scenarios()[0], swerving)
 
 
@@ -624,13 +688,17 @@ def test_decision_that_hangs_ends_the_run_and_not_the_simulator():
 def test_ads_of_another_kind_is_refused(given):
     from highway_env.vehicle.behavior import IDMVehicle
 
-    with pytest.raises(AdsFactoryError, match=r"expected a callable that turns a pafot\.Observation"):
+    with pytest.raises(
+        AdsFactoryError, match=r"expected a callable that turns a pafot\.Observation"
+    ):
         TOY.rollout(scenarios()[0], IDMVehicle if given == "class" else lambda env: None)
 
 
 @table("given", [Bicycle(), 3, "toy"])
 def test_object_instead_of_a_class_is_refused_with_what_to_write(given):
-    with pytest.raises(WorldError, match=r"simulator: expected a subclass .* Write pafot.SimulatorWorld\("):
+    with pytest.raises(
+        WorldError, match=r"simulator: expected a subclass .* Write pafot.SimulatorWorld\("
+    ):
         SimulatorWorld(given)
 
 
@@ -687,7 +755,9 @@ def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, me
 
 def test_close_has_the_ten_seconds_that_its_page_promises(monkeypatch):
     limits = []
-    monkeypatch.setattr("pytest_pafot.world.engines.simulation.call_close", lambda *given: limits.append(given[-1]))
+    monkeypatch.setattr(
+        "pytest_pafot.world.engines.simulation.call_close", lambda *given: limits.append(given[-1])
+    )
     Simulators(Bicycle).give(Bicycle(), is_sound=False)
     assert limits == [10.0]
 
@@ -718,7 +788,9 @@ def test_a_process_of_multiprocessing_closes_its_own_simulators_at_its_end(tmp_p
     """Such a process does not call the functions of ``atexit``; one that is forked has those of its parent, too."""
     world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
     world.rollout(scenarios()[0], Slowing)
-    process = multiprocessing.get_context(how).Process(target=world.rollout, args=(scenarios()[0], Slowing))
+    process = multiprocessing.get_context(how).Process(
+        target=world.rollout, args=(scenarios()[0], Slowing)
+    )
     process.start()
     process.join(60.0)
     assert [each.name for each in tmp_path.iterdir()] == [str(process.pid)]
@@ -759,8 +831,16 @@ def test_world_that_is_sent_to_a_process_makes_its_own_simulator():
 def test_file_names_the_class_of_a_simulator_and_what_it_states():
     world = SimulatorWorld(partial(Counted, "own"), duration=2.0)
     data = described(world)
-    assert (data["kind"], data["class"], data["data"]["simulator"]) == ("own", "Counted", {"name": "own"})
-    assert (data["data"]["physics_hz"], data["data"]["lanes"], data["data"]["duration"]) == (15, 4, 2.0)
+    assert (data["kind"], data["class"], data["data"]["simulator"]) == (
+        "own",
+        "Counted",
+        {"name": "own"},
+    )
+    assert (data["data"]["physics_hz"], data["data"]["lanes"], data["data"]["duration"]) == (
+        15,
+        4,
+        2.0,
+    )
     assert is_code(data)
     assert check_named_world(data, world) is world
     with pytest.raises(WorldError, match="a simulator of the class Counted"):
@@ -798,7 +878,9 @@ class Pedals(Bicycle):
     def check_action(self, action):
         checked = np.asarray(action, dtype=np.float32)
         if checked.shape != (2,) or not (np.abs(checked) <= 1.0).all():
-            raise ValueError(f"expected steering and throttle, from -1 to 1, received {action!r:.60}")
+            raise ValueError(
+                f"expected steering and throttle, from -1 to 1, received {action!r:.60}"
+            )
         return checked
 
     def step(self, controls):
@@ -847,13 +929,17 @@ def test_policy_of_a_native_simulator_sees_and_does_what_the_simulator_says():
     assert seen[0].tolist() == [22.0, pytest.approx(trace.states[0, 1, 0] - trace.states[0, 0, 0])]
     assert np.array_equal(trace.actions, [controls[0].action for controls in got[::3]])
     assert len(trace.actions) == len(seen)
-    assert trace.states[1:, 0, 3] == pytest.approx(22.0 + np.cumsum([6.0 * c[0].action[1] for c in got]) / 15, abs=1e-5)
+    assert trace.states[1:, 0, 3] == pytest.approx(
+        22.0 + np.cumsum([6.0 * c[0].action[1] for c in got]) / 15, abs=1e-5
+    )
     assert {(c[0].acceleration, c[0].steering, c[1].action) for c in got} == {(0.0, 0.0, None)}
     assert min(controls[1].acceleration for controls in got) < -1.0
 
 
 def same_native(one, other):
-    return one.states.tobytes() == other.states.tobytes() and np.array_equal(one.actions, other.actions)
+    return one.states.tobytes() == other.states.tobytes() and np.array_equal(
+        one.actions, other.actions
+    )
 
 
 def test_run_of_a_native_policy_repeats_by_its_decisions_to_the_bit():
@@ -871,7 +957,9 @@ def test_careful_driver_takes_over_from_a_native_policy_by_acceleration_and_stee
         taken = PEDALS.take_over(trace, tick, "careful-human")
         got = [controls[0] for controls in PEDALS.simulators._free[0].got]
         assert np.array_equal(taken.states[: tick + 1], trace.states[: tick + 1])
-        assert [each.action is None for each in got] == [number >= tick for number in range(len(got))]
+        assert [each.action is None for each in got] == [
+            number >= tick for number in range(len(got))
+        ]
         assert min(each.acceleration for each in got[tick:]) < -2.0
         assert taken.collision is None
     reference = PEDALS.rollout_reference(SLOWER, "careful-human")
@@ -895,12 +983,19 @@ def test_what_is_no_action_of_a_native_simulator_is_an_error_of_the_policy(actio
 
 
 def test_simulator_that_accepts_all_actions_still_refuses_none():
-    plain = SimulatorWorld(type("Plain", (Pedals,), {"check_action": Simulator.check_action}), duration=2.0)
-    assert plain.rollout(SLOWER, answering(None)).error.message.startswith("expected an action for Plain.step, ")
+    plain = SimulatorWorld(
+        type("Plain", (Pedals,), {"check_action": Simulator.check_action}), duration=2.0
+    )
+    assert plain.rollout(SLOWER, answering(None)).error.message.startswith(
+        "expected an action for Plain.step, "
+    )
     pair = plain.rollout(SLOWER, answering((0.0, -0.5)))
     assert pair.actions[0] == (0.0, -0.5)
     assert not is_si(pair.actions[0])
-    assert plain.take_over(pair, 20, "careful-human").states[:21].tobytes() == pair.states[:21].tobytes()
+    assert (
+        plain.take_over(pair, 20, "careful-human").states[:21].tobytes()
+        == pair.states[:21].tobytes()
+    )
 
 
 @table(("members", "error", "message"), {

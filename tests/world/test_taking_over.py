@@ -20,7 +20,10 @@ from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes, weaving
 
 BRAKES = Scenario(
-    npcs=[[PositionInstruction(2, 22.0), PositionInstruction(2, 4.0)], [PositionInstruction(8, 25.0)] * 2],
+    npcs=[
+        [PositionInstruction(2, 22.0), PositionInstruction(2, 4.0)],
+        [PositionInstruction(8, 25.0)] * 2,
+    ],
     ego_lane=1,
     ego_speed=22.0,
 )
@@ -48,13 +51,17 @@ CASES = {
     "vehicle class with own code": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, LinearVehicle)),
     "larger vehicle": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, Lorry)),
     "policy": lambda: on("highway-v0", lambda: lambda seen: 3),
-    "policy in wrappers": lambda: on("highway-v0", lambda: lambda seen: 3, wrappers=[FlattenObservation]),
+    "policy in wrappers": lambda: on(
+        "highway-v0", lambda: lambda seen: 3, wrappers=[FlattenObservation]
+    ),
     "merge": lambda: on("merge-v0", lambda: lambda seen: 3),
     "bend": lambda: on("roundabout-v0", IDMVehicle),
 }
 
 
-@pytest.mark.parametrize("name", mostly_oracle(CASES, "planner", "larger vehicle", "policy", "bend"))
+@pytest.mark.parametrize(
+    "name", mostly_oracle(CASES, "planner", "larger vehicle", "policy", "bend")
+)
 def test_run_before_taking_over_equals_the_recording(name):
     world, trace = CASES[name]()
     for tick in (0, trace.ticks // 2, trace.ticks - 1):
@@ -78,12 +85,17 @@ def test_new_driver_brakes_at_once_for_watched_leader():
     assert taken.ego[trace.ticks - 8, ACCELERATION] < -4.0
     left = HIGHWAY.rollout(BRAKES, changing_lanes)
     tick = next(tick for tick in range(left.ticks) if left.ego[tick, 6] != 1)
-    assert (HIGHWAY.take_over(left, tick + 15, "careful-human").ego[tick + 15 :, 6] == left.ego[tick + 15, 6]).all()
+    assert (
+        HIGHWAY.take_over(left, tick + 15, "careful-human").ego[tick + 15 :, 6]
+        == left.ego[tick + 15, 6]
+    ).all()
 
 
 def test_new_driver_wants_ego_speed_from_before_braking():
     far = Scenario(npcs=[[PositionInstruction(8, 22.0)]], ego_lane=1, ego_speed=22.0)
-    trace = HIGHWAY.rollout(far, lambda: lambda observation: (-5.0 if observation.time > 2 else 0.0, 0.0))
+    trace = HIGHWAY.rollout(
+        far, lambda: lambda observation: (-5.0 if observation.time > 2 else 0.0, 0.0)
+    )
     taken = HIGHWAY.take_over(trace, 60, "careful-human")
     assert trace.ego[60, SPEED] < 14.0
     assert np.diff(taken.ego[60:, SPEED]).min() > 0 or taken.ego[-1, SPEED] > 21.0
@@ -103,7 +115,9 @@ def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
 
 def test_careful_driver_avoids_a_collision_in_a_zone_until_shortly_before_the_ego_enters_it():
     world = World("roundabout-v0")
-    scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)
+    scenario = Scenario(
+        npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0
+    )
     run = world.run_of(world.rollout(scenario, ControlledVehicle))
     assert run.attribution.fault == "did-not-give-way"
     entered = Passing(run.trace, 0, run.trace.zones[0]).entry / run.trace.physics_hz
@@ -126,7 +140,9 @@ class Jams(Puppets):
 
 def test_error_of_a_simulator_while_a_driver_takes_over_names_the_driver():
     world = SimulatorWorld(Jams)
-    short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=5.0)
+    short = Scenario(
+        npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=5.0
+    )
     run = world.run_of(world.rollout(short, lambda: lambda seen: (0.0, 0.0)))
     told = "^take_over with the driver 'careful-human' failed in the SimulatorWorld: KeyError: 'jammed'"
     with pytest.raises(DriverError, match=told):
@@ -134,7 +150,9 @@ def test_error_of_a_simulator_while_a_driver_takes_over_names_the_driver():
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
-    short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=2.0)
+    short = Scenario(
+        npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=2.0
+    )
     run = HIGHWAY.run_of(HIGHWAY.rollout(short, lambda: lambda seen: (0.0, 0.0)))
     usual, longer = (each(run.trace, 15) for each in (run.take_over, run.take_over.lasting(14.0)))
     assert (usual.duration, longer.duration) == (2.0, 14.0)

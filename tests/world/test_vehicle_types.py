@@ -51,7 +51,11 @@ def with_kinds(scenario, world, rng):
     ways = scenario.crossings or (None,) * len(scenario.npcs)
     for npc, way in enumerate(ways):
         kind = KINDS[int(rng.integers(len(KINDS)))]
-        if world.can_drive(kind) if way is None else kind.can_follow(world.crossings.ways[way.zone].sharpest):
+        if (
+            world.can_drive(kind)
+            if way is None
+            else kind.can_follow(world.crossings.ways[way.zone].sharpest)
+        ):
             scenario = scenario.with_vehicle(npc, kind)
     return scenario
 
@@ -60,15 +64,21 @@ def with_kinds(scenario, world, rng):
 def test_own_limits_hold_on_a_straight_road(traffic):
     world, rng = Highway(duration=20.0), np.random.default_rng(4)
     for number in range(12):
-        scenario = with_kinds(sample(space_of(world, npcs=number % 5 + 1, traffic=traffic), rng), world, rng)
+        scenario = with_kinds(
+            sample(space_of(world, npcs=number % 5 + 1, traffic=traffic), rng), world, rng
+        )
         for ego in (keeping, idm):
             trace = world.rollout(scenario, ego)
             assert violations_of_straight(trace, world.limits, world.speed_limit) == [], scenario
-            assert trace.sizes[1:].tolist() == [[each.length, each.width] for each in scenario.all_vehicles]
+            assert trace.sizes[1:].tolist() == [
+                [each.length, each.width] for each in scenario.all_vehicles
+            ]
             assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
 
 
-@pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1", "intersection-v0"))
+@pytest.mark.parametrize(
+    "env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1", "intersection-v0")
+)
 def test_own_limits_hold_on_every_road(env_id):
     world, rng = world_of(env_id, duration=6.0), np.random.default_rng(3)
     space = space_of(world, traffic="hostile")
@@ -81,16 +91,29 @@ def test_own_limits_hold_on_every_road(env_id):
 
 def test_own_limits_hold_on_ways_that_cross():
     world, rng = world_of("intersection-v0"), np.random.default_rng(8)
-    space, crossing = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings), set()
+    space, crossing = (
+        replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings),
+        set(),
+    )
     for _ in range(12):
         scenario = with_kinds(sample(space, rng), world, rng)
-        crossing |= {kind for kind, way in zip(scenario.all_vehicles, scenario.crossings, strict=False) if way}
-        broken = [promise for is_kept, promise, _ in limits(world, world.rollout(scenario, idm)) if not is_kept]
+        crossing |= {
+            kind
+            for kind, way in zip(scenario.all_vehicles, scenario.crossings, strict=False)
+            if way
+        }
+        broken = [
+            promise
+            for is_kept, promise, _ in limits(world, world.rollout(scenario, idm))
+            if not is_kept
+        ]
         assert broken == [], scenario
     assert {CAR, TRUCK, MOTORCYCLE} < crossing
 
 
-@pytest.mark.parametrize("env_id", ["highway-v0", *mostly_oracle(ROADS, "merge-v1", "intersection-v0")])
+@pytest.mark.parametrize(
+    "env_id", ["highway-v0", *mostly_oracle(ROADS, "merge-v1", "intersection-v0")]
+)
 def test_the_plain_environment_agrees(env_id):
     world, rng = world_of(env_id, duration=6.0), np.random.default_rng(6)
     npcs = 3 if world.crossings else min(3, world.most_on_grid)
@@ -99,7 +122,9 @@ def test_the_plain_environment_agrees(env_id):
         first = world.rollout(with_kinds(sample(space, rng), world, rng), idm)
         again = world.rollout_in_gym(first.executed, idm)
         assert disagreement(Run(first), Run(again)) == ""
-        drives = np.minimum.accumulate(first.ego[:, SPEED] > 1.0)  # IDM's steering magnifies rounding where it stands
+        drives = np.minimum.accumulate(
+            first.ego[:, SPEED] > 1.0
+        )  # IDM's steering magnifies rounding where it stands
         assert first.states[drives] == pytest.approx(again.states[drives], abs=1e-9)
         assert first.sizes.tolist() == again.sizes.tolist()
 
@@ -108,7 +133,9 @@ EGOS = tuple(kind for kind in KINDS if kind.braking >= 6.0)
 
 
 @pytest.mark.parametrize(
-    ("ego", "npc"), [*((CAR, kind) for kind in KINDS), *((kind, CAR) for kind in EGOS[1:])], ids=lambda kind: kind.name
+    ("ego", "npc"),
+    [*((CAR, kind) for kind in KINDS), *((kind, CAR) for kind in EGOS[1:])],
+    ids=lambda kind: kind.name,
 )
 @pytest.mark.parametrize("cell", [2, 4])
 def test_a_run_ends_exactly_when_the_boxes_touch(ego, npc, cell):
@@ -117,7 +144,9 @@ def test_a_run_ends_exactly_when_the_boxes_touch(ego, npc, cell):
     def into_it():
         return lambda seen: (faster, 0.0) if cell == 2 else (0.0, steering)
 
-    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3], vehicles=(npc,))
+    still = Scenario(
+        npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3], vehicles=(npc,)
+    )
     trace = Highway(ego=ego).rollout(still, into_it)
     touching = overlaps(Encounters(trace).pairs)[0]
     assert trace.outcome is Outcome.COLLISION
@@ -126,17 +155,24 @@ def test_a_run_ends_exactly_when_the_boxes_touch(ego, npc, cell):
 
 
 def test_a_vehicle_starts_no_faster_than_it_can_drive():
-    trace = Highway().rollout(Scenario(npcs=[[PositionInstruction(2, 26.0)]], ego_speed=26.8, vehicles=("truck",)), idm)
+    trace = Highway().rollout(
+        Scenario(npcs=[[PositionInstruction(2, 26.0)]], ego_speed=26.8, vehicles=("truck",)), idm
+    )
     assert trace.npcs[0, 0, SPEED] == trace.npcs[:, 0, SPEED].max() == 25.0
 
 
 def test_a_vehicle_that_is_too_long_for_a_bend_is_refused():
     world = world_of("intersection-v0")
-    turning, straight = CrossingInstruction("o3>o0", 0.0, 8.0), CrossingInstruction("o1>o3", 0.0, 8.0)
+    turning, straight = (
+        CrossingInstruction("o3>o0", 0.0, 8.0),
+        CrossingInstruction("o1>o3", 0.0, 8.0),
+    )
     lane, speed = world.start
     common = {"ego_lane": lane, "ego_speed": speed, "vehicles": ("truck",)}
     world.check_fits(Scenario(npcs=[[straight]], **common))
-    with pytest.raises(ScenarioError, match=r"vehicles\[0\]: expected a vehicle that can follow the bends of o3>o0"):
+    with pytest.raises(
+        ScenarioError, match=r"vehicles\[0\]: expected a vehicle that can follow the bends of o3>o0"
+    ):
         world.check_fits(Scenario(npcs=[[turning]], **common))
 
 
@@ -144,7 +180,9 @@ def test_a_planner_sees_how_large_a_vehicle_is():
     seen = []
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)]], vehicles=["truck"])
     for world in (Highway(), World("merge-v0", planner_hz=5)):
-        world.rollout(scenario, lambda: lambda observation: (seen.append(observation), (0.0, 0.0))[1])
+        world.rollout(
+            scenario, lambda: lambda observation: (seen.append(observation), (0.0, 0.0))[1]
+        )
     assert {(each.others[0].length, each.others[0].width) for each in seen} == {(12.0, 2.55)}
 
 
@@ -158,8 +196,12 @@ def pedals(seen):
 def test_an_ego_does_no_more_than_its_vehicle_can(kind, ads):
     world, factory = Highway(ego=kind), {"planner": lambda: pedals, "vehicle class": idm}.get(ads)
     if ads == "policy":
-        world = World("highway-v0", {"action": {"type": "ContinuousAction"}, "duration": 12}, ego=kind)
-        factory = lambda: lambda seen: np.array([1.0, 1.0]) if seen[0, 1] < 0.9 else np.array([-1.0, 1.0])  # noqa: E731
+        world = World(
+            "highway-v0", {"action": {"type": "ContinuousAction"}, "duration": 12}, ego=kind
+        )
+        factory = lambda: (  # noqa: E731
+            lambda seen: np.array([1.0, 1.0]) if seen[0, 1] < 0.9 else np.array([-1.0, 1.0])
+        )
     ahead = Scenario(npcs=[[PositionInstruction(2, 3.0)]], ego_speed=26.0, gene_seconds=12.0)
     trace = world.rollout(ahead, factory)
     speed, turned = trace.ego[:, SPEED], np.diff(trace.ego[:, HEADING]) * trace.physics_hz
@@ -201,7 +243,9 @@ def test_a_planner_sees_its_own_size_and_a_straightened_road():
     seen = []
     for world in (Highway(ego=VAN), World("racetrack-v0", planner_hz=5, duration=8.0, ego=VAN)):
         scenario = Scenario(npcs=[[LaneInstruction("keep", 5.0)]], ego_lane=1, ego_speed=10.0)
-        trace = world.rollout(scenario, lambda: lambda now: (seen.append(now), LaneCommand(lane=1, speed=8.0))[1])
+        trace = world.rollout(
+            scenario, lambda: lambda now: (seen.append(now), LaneCommand(lane=1, speed=8.0))[1]
+        )
     assert {(each.ego.length, each.ego.width) for each in seen} == {(6.5, 2.16)}
     assert abs(trace.track_of(0)[:, OFFSET]).max() < 0.25
 
@@ -214,12 +258,17 @@ def test_a_vehicle_class_of_another_size_is_refused():
     for world in (Highway(), Highway(ego=TRUCK), World("highway-v0", ego=TRUCK)):
         for factory in (lambda: Bus, lambda: partial(Bus, enable_lane_change=False)):
             assert world.rollout(scenario, factory).sizes[0].tolist() == [12.0, 2.55]
-    with pytest.raises(WorldError, match=r"ego: expected a vehicle with the size of Bus, 12 x 2.55 m, received van"):
+    with pytest.raises(
+        WorldError, match=r"ego: expected a vehicle with the size of Bus, 12 x 2.55 m, received van"
+    ):
         Highway(ego=VAN).rollout(scenario, lambda: Bus)
 
 
 def test_an_ego_that_is_too_long_for_the_road_is_refused():
-    with pytest.raises(WorldError, match="ego: expected a vehicle that can follow the bends of the road, received tr"):
+    with pytest.raises(
+        WorldError,
+        match="ego: expected a vehicle that can follow the bends of the road, received tr",
+    ):
         World("racetrack-v0", ego=TRUCK).check()
 
 
@@ -234,7 +283,9 @@ def test_braking_that_a_truck_cannot_do_avoids_nothing():
     for kind in (CAR, TRUCK):
         world = Highway(ego=kind)
         stops = [PositionInstruction(2, 22.0), PositionInstruction(2, 0.0)]
-        trace = world.rollout_reference(Scenario(npcs=[stops], ego_speed=22.0, gene_seconds=2.0), "careful-human")
+        trace = world.rollout_reference(
+            Scenario(npcs=[stops], ego_speed=22.0, gene_seconds=2.0), "careful-human"
+        )
         hardest[kind.name] = -trace.ego[:, ACCELERATION].min()
         taken = world.take_over(world.rollout(trace.scenario, keeping), 20, "careful-human")
         assert -taken.ego[:, ACCELERATION].min() <= hardest[kind.name] + 1e-9
@@ -244,7 +295,13 @@ def test_braking_that_a_truck_cannot_do_avoids_nothing():
 def test_explanation_and_picture_say_what_the_ego_is():
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2], vehicles=["van"])
     trace = Highway(ego=TRUCK).rollout(scenario, keeping)
-    assert "\n  the ego is a truck, 12 x 2.55 m; NPC 0 is a van, 6.5 x 2.16 m\n" in Run(trace).explain()
-    assert [(each.name, each.length) for each in view_of(trace).vehicles] == [("ego, truck", 12.0), ("NPC 0, van", 6.5)]
+    assert (
+        "\n  the ego is a truck, 12 x 2.55 m; NPC 0 is a van, 6.5 x 2.16 m\n"
+        in Run(trace).explain()
+    )
+    assert [(each.name, each.length) for each in view_of(trace).vehicles] == [
+        ("ego, truck", 12.0),
+        ("NPC 0, van", 6.5),
+    ]
     assert str(scenario).endswith(": van 2@10 2@10>")
     assert " is a " not in Run(Highway().rollout(replace(scenario, vehicles=()), keeping)).explain()

@@ -34,10 +34,20 @@ from pytest_pafot.searches.refine.simplest import check_limits
 from pytest_pafot.searches.results import State
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
-from pytest_pafot.world.driving.conditions import Conditions, Parted, differing_numbers, group_conditions, parting
+from pytest_pafot.world.driving.conditions import (
+    Conditions,
+    Parted,
+    differing_numbers,
+    group_conditions,
+    parting,
+)
 from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
+from pytest_pafot.world.kernel.action import (
+    checked_si_action,
+    possible_acceleration,
+    possible_steering,
+)
 from pytest_pafot.world.kernel.observation import Observation
 
 # A function that calls a new policy during a run, without affecting the run. Its arguments are an NPC to hide in the
@@ -45,7 +55,9 @@ from pytest_pafot.world.kernel.observation import Observation
 Ask = Callable[..., Refining[Aside | None]]
 
 Additions = tuple[float, float, float]  # offsets of a vehicle's x [m], y [m] and speed [m/s]
-Change = tuple[str, Additions | None]  # a change of a vehicle, in words and as offsets; None hides the vehicle
+Change = tuple[
+    str, Additions | None
+]  # a change of a vehicle, in words and as offsets; None hides the vehicle
 
 MANY = 1_000_000  # more lanes than any road has, since the run has already checked its actions
 
@@ -65,7 +77,10 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     if run is None or not harness.policy.only_observes:
         return sighting
     # With a reference, the moment is the first decision that differs from the reference's.
-    if harness.against is not None and (moment := _first_difference(run.trace, state, bench)) is not None:
+    if (
+        harness.against is not None
+        and (moment := _first_difference(run.trace, state, bench)) is not None
+    ):
         return replace(sighting, moment=moment)
     trace, npc, number = run.trace, vehicle_of(run, expect), deciding(run, expect)
     if npc is None or number is None or not trace.actions:
@@ -75,7 +90,9 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     # observations and once without the vehicle.
     whole = yield from ask(None, Question(number=number))
     # A new policy must decide as in the recorded run. Otherwise, a difference would not be due to the vehicle.
-    if whole is None or any(differ(action, whole.action_at(each)) for each, action in enumerate(trace.actions)):
+    if whole is None or any(
+        differ(action, whole.action_at(each)) for each, action in enumerate(trace.actions)
+    ):
         return sighting
     without_it = None
     if harness.world.hides:  # otherwise, only the decision is reported
@@ -89,7 +106,9 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     """Return a finding with the conditions that the policy's code evaluates in the decision of its ``moment``."""
     harness, moment, run = bench.harness, sighting.moment, sighting.run
-    conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
+    conditions = (
+        None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
+    )
     if moment is None or run is None or not conditions:
         return sighting
     trace = run.trace
@@ -98,7 +117,9 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     question = Question(number=number, conditions=conditions)
     ask = partial(_decided_aside, sighting, trace, state, bench, None)
     aside = yield from ask(question)
-    if aside is None or any(differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[: number + 1])):
+    if aside is None or any(
+        differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[: number + 1])
+    ):
         return sighting
     # Compare with a decision that perceives the vehicle in another position: where the moment reports a different
     # action or, without one, far away.
@@ -107,21 +128,36 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     whom: dict[int, tuple[int, ...]] | None = None
     if isinstance(seen, Observation):
         whom = {}  # a condition is about the vehicles whose slightly different positions change its values
-        for other in sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ():
+        for other in (
+            sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ()
+        ):
             nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
-            for each in () if nudged is None else differing_numbers(aside.conditions, nudged.conditions):
+            for each in (
+                () if nudged is None else differing_numbers(aside.conditions, nudged.conditions)
+            ):
                 whom[each] = (*whom.get(each, ()), other)
         if npc is not None and npc in seen.ids:
             words, by = _compared(moment, _changes(seen, npc))
-            compared.append((f"with NPC {npc} {words}", npc, replace(question, instead=changed(seen, npc, by))))
+            compared.append(
+                (f"with NPC {npc} {words}", npc, replace(question, instead=changed(seen, npc, by)))
+            )
     # If that has no effect and the decision starts a change of lanes, compare with the decision before it.
     if number and number == moved_over(run):
-        compared.append((f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1)))
+        compared.append(
+            (f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1))
+        )
     first: dict[str, Parted] = {}
     for when, elsewhere, each_question in compared:
         if not first and (asked := (yield from ask(each_question))) is not None:
             is_other = differ(trace.actions[number], asked.action_at(each_question.number))
-            first = parting(aside.conditions, asked.conditions, when, is_other=is_other, npc=elsewhere, whom=whom or {})
+            first = parting(
+                aside.conditions,
+                asked.conditions,
+                when,
+                is_other=is_other,
+                npc=elsewhere,
+                whom=whom or {},
+            )
     groups = group_conditions(aside.conditions, first, npc=npc, whom=whom)
     return replace(sighting, moment=replace(moment, conditions=groups))
 
@@ -132,7 +168,9 @@ def _nudged(seen: Observation, npc: int) -> Observation:
         return changed(seen, npc, (NUDGE, NUDGE, NUDGE))
     places = ("distance", "ego_distance", "ahead", "right", "speed")
     crossing = [
-        each._replace(**{name: getattr(each, name) + NUDGE for name in places}) if each.id == npc else each
+        each._replace(**{name: getattr(each, name) + NUDGE for name in places})
+        if each.id == npc
+        else each
         for each in seen.crossing
     ]
     return seen.replace(crossing=tuple(crossing))
@@ -152,10 +190,15 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
     check_limits(bench)
     state.moment_runs += 1
-    with harness.reference_runner(harness.job(), bench.record, isolate=isolate) or nullcontext() as runner:
+    with (
+        harness.reference_runner(harness.job(), bench.record, isolate=isolate)
+        or nullcontext() as runner
+    ):
         run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
     bench.record.clear()
-    for number, actions in enumerate(zip(trace.actions, () if run is None else run.trace.actions, strict=False)):
+    for number, actions in enumerate(
+        zip(trace.actions, () if run is None else run.trace.actions, strict=False)
+    ):
         if differ(*actions):
             time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
             own, other = text_of(*actions), text_of(*actions[::-1])
@@ -164,7 +207,12 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
 
 
 def _decided_aside(
-    sighting: Seen, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
+    sighting: Seen,
+    trace: Trace,
+    state: State,
+    bench: Bench,
+    npc: int | None,
+    question: Question | None,
 ) -> Refining[Aside | None]:
     # Call a new policy during the run, without affecting the run.
     check_limits(bench)
@@ -174,8 +222,14 @@ def _decided_aside(
 
     harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
-    check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
-    question = question if harness.world.hides or question is None else replace(question, is_noted=False)
+    check = (
+        partial(checked_si_action, lanes=MANY)
+        if space is None
+        else partial(checked_action, space=space)
+    )
+    question = (
+        question if harness.world.hides or question is None else replace(question, is_noted=False)
+    )
     aside = Aside()
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
@@ -210,7 +264,13 @@ def _moment_of(
         where = placed(other.x - ego.x, other.y - ego.y, other.speed - ego.speed, *boxes)
     elif is_planner and (crossing := [each for each in seen.crossing if each.id == npc]):
         (way,), own = crossing, (0.0, seen.ego.length, seen.ego.width)
-        where = placed(way.ahead, way.right, way.speed - seen.ego.speed, own, (way.heading, way.length, way.width))
+        where = placed(
+            way.ahead,
+            way.right,
+            way.speed - seen.ego.speed,
+            own,
+            (way.heading, way.length, way.width),
+        )
     elif is_planner or _pickled(seen) == _pickled(without_it.at):
         where = "nowhere"
     else:
@@ -227,7 +287,9 @@ def _moment_of(
             break
         # The result is valid only if the new policy decides like the run's policy until then. It may not, if it keeps
         # state of other runs in a module or a class.
-        if aside is None or any(differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[:number])):
+        if aside is None or any(
+            differ(each, aside.action_at(at)) for at, each in enumerate(trace.actions[:number])
+        ):
             hidden = otherwise = None
             break
         answer = aside.action_at(number)
@@ -237,7 +299,9 @@ def _moment_of(
         elif _is_other(action, answer):
             otherwise = f"{words}: {text_of(answer, action)}"
             break
-    return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
+    return Moment(
+        time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise
+    )
 
 
 def _pickled(seen: Any) -> Any:
@@ -290,9 +354,14 @@ def text_of(action: Any, other: Any = None) -> str:
     parts, shown = parts_of(action), []
     for name in differing_parts(action, other):
         least, form = PARTS.get(name, (0.0, "{}"))
-        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
+        if parts[name] is None or (
+            other is None and name == "steering" and abs(parts[name]) < least
+        ):
             continue
-        value, driven = form.format(parts[name]), form.format(POSSIBLE.get(name, lambda same: same)(parts[name]))
+        value, driven = (
+            form.format(parts[name]),
+            form.format(POSSIBLE.get(name, lambda same: same)(parts[name])),
+        )
         limit = f", limited to {driven.split()[0]}" if driven != value else ""
         shown.append(f"{name.replace('_', ' ')} {value}{limit}")
     return ", ".join(shown)

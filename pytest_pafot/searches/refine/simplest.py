@@ -10,7 +10,16 @@ from typing import Any
 
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import RUNS, FailureRate, signature_of_failure, with_other_seed
-from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
+from pytest_pafot.findings.shrink import (
+    Ahead,
+    Attempt,
+    Likely,
+    OutOfBudget,
+    Shown,
+    Shrunk,
+    Start,
+    shrink,
+)
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure, Signature, Verdict, severity_of
 from pytest_pafot.model.instructions import ScenarioError
@@ -28,7 +37,12 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
 def showing(
-    sighting: Seen, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
+    sighting: Seen,
+    scenario: Scenario,
+    state: State,
+    bench: Bench,
+    store: Store,
+    most: int | None = None,
 ) -> Refining[Run | None]:
     """Run a scenario, and return the run if it reproduces the failure within ``most`` decisions."""
     __tracebackhide__ = True
@@ -42,7 +56,9 @@ def showing(
             return None
         if not shows(sighting, run, bench.finish(run, without_unreached_genes(run)), state, bench):
             return None
-    except ScenarioError:  # For example, the ego starts in an outer lane, where there are too few cells.
+    except (
+        ScenarioError
+    ):  # For example, the ego starts in an outer lane, where there are too few cells.
         return None
     except ProcessLostError as error:
         yield from lose(error, state, bench, store)
@@ -71,7 +87,9 @@ def is_same(shown: Signature, found: Signature) -> bool:
 def without_unreached_genes(run: Run) -> Scenario:
     """Return the scenario of a run without the genes that the run did not reach."""
     scenario = run.scenario
-    return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
+    return scenario.truncated(
+        max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1))
+    )
 
 
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
@@ -95,14 +113,18 @@ def check_limits(bench: Bench) -> None:
         raise OutOfBudget
 
 
-def failure_rate(sighting: Seen, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
+def failure_rate(
+    sighting: Seen, scenario: Scenario, state: State, bench: Bench
+) -> Refining[FailureRate]:
     """Measure how often the policy fails in a scenario, with different seeds unless the finding is flaky."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0
     for number in range(1, RUNS + 1):
         check_limits(bench)
         state.shrink_runs += 1
-        failing += bench.finish(bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))).failed
+        failing += bench.finish(
+            bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))
+        ).failed
     return FailureRate(failing=failing)
 
 
@@ -174,7 +196,11 @@ def simplest_of(
     rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
     repeats = _repeats_collision(sighting, harness)
     # The ego's actions in failing scenarios.
-    actions = {} if sighting.run is None else {without_unreached_genes(sighting.run): sighting.run.trace.actions}
+    actions = (
+        {}
+        if sighting.run is None
+        else {without_unreached_genes(sighting.run): sighting.run.trace.actions}
+    )
     turn.to_confirm = max(map(len, actions.values()), default=0)
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
@@ -202,7 +228,9 @@ def simplest_of(
         scenario = without_unreached_genes(run)
         actions[scenario] = run.trace.actions
         turn.to_confirm = len(run.trace.actions)
-        turn.took(bench.clock() - began, bench.pace * min(scenario.seconds, harness.world.longest_run))
+        turn.took(
+            bench.clock() - began, bench.pace * min(scenario.seconds, harness.world.longest_run)
+        )
         return scenario, starts_of(run, top_speed)
 
     scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
@@ -242,11 +270,19 @@ def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
     # Return the run of a finding if its recorded decisions repeat the collision without the ADS.
     trace = None if sighting.run is None else sighting.run.trace
     is_sure = not sighting.is_flaky and sighting.finding.rate is None
-    return trace if is_sure and trace is not None and trace.collision is not None and trace.actions else None
+    return (
+        trace
+        if is_sure and trace is not None and trace.collision is not None and trace.actions
+        else None
+    )
 
 
 def _likely(
-    sighting: Seen, turn: Turn, state: State, bench: Bench, actions_in: Callable[[Scenario], tuple[Any, ...]]
+    sighting: Seen,
+    turn: Turn,
+    state: State,
+    bench: Bench,
+    actions_in: Callable[[Scenario], tuple[Any, ...]],
 ) -> Callable[[Scenario, Scenario], bool] | None:
     # Return a function that states whether a small scenario is likely to fail: an ego that repeats the decisions of a
     # failing scenario collides in the same way. That was the case in 27 of 35 small scenarios that failed, and in 225
@@ -256,7 +292,9 @@ def _likely(
     if not harness.world.is_resumable:
         return None
     failure = Failure(kind=found.failure, assertion=found.assertion)
-    rollout: Callable[..., Trace] = harness.world.rollout  # it accepts decisions, because the world is resumable
+    rollout: Callable[..., Trace] = (
+        harness.world.rollout
+    )  # it accepts decisions, because the world is resumable
 
     @cache
     def likely(candidate: Scenario, best: Scenario) -> bool:
@@ -273,7 +311,10 @@ def _likely(
             return False
         run = harness.run_of(trace)
         return is_same(
-            bench.examiner.beside_accepted(signature_of_failure(run, failure), severity_of(run, failure)), found
+            bench.examiner.beside_accepted(
+                signature_of_failure(run, failure), severity_of(run, failure)
+            ),
+            found,
         )
 
     return likely
@@ -295,5 +336,6 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     if (lanes < 0).any():
         return ()  # the ego left the road, or the road is not straight, so that a later start would be elsewhere on it
     return tuple(
-        (int(lane), float(min(max(round(speed, 1), 0.0), top_speed))) for lane, speed in zip(lanes, speeds, strict=True)
+        (int(lane), float(min(max(round(speed, 1), 0.0), top_speed)))
+        for lane, speed in zip(lanes, speeds, strict=True)
     )

@@ -18,7 +18,14 @@ from pytest_pafot.searches.bench import Bench
 from pytest_pafot.searches.events import Note, Phase, Refining
 from pytest_pafot.searches.harness import headline
 from pytest_pafot.searches.refine.moment import with_conditions, with_moment
-from pytest_pafot.searches.refine.simplest import Simplest, Turn, check_limits, failure_rate, shows, simplest_of
+from pytest_pafot.searches.refine.simplest import (
+    Simplest,
+    Turn,
+    check_limits,
+    failure_rate,
+    shows,
+    simplest_of,
+)
 from pytest_pafot.searches.results import State
 from pytest_pafot.searches.store import Store, lose
 from pytest_pafot.support.errors import DriverError, OutOfTime
@@ -42,7 +49,9 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
     bench.refining_end, before, searched = until, bench.decisions, state.counts.decisions
     # Unless the user sets a limit, this work can request as many decisions as the search did.
     bench.asked = 0
-    bench.refining_most = math.inf if bench.harness.request.settings.shrink_runs else max(searched, LEAST_DECISIONS)
+    bench.refining_most = (
+        math.inf if bench.harness.request.settings.shrink_runs else max(searched, LEAST_DECISIONS)
+    )
     with bench.runner:
         # Shrink and confirm each finding, and try a careful driver. Skip findings that cannot be shrunk: crashes, those
         # that depend on wall-clock time, and flaky ones that are not random.
@@ -80,14 +89,19 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
         if is_done:
             done.add(id_)
         else:
-            sighting, why = store.findings[id_], "the limit was reached" if bench.is_at_limit else "the time ran out"
+            sighting, why = (
+                store.findings[id_],
+                "the limit was reached" if bench.is_at_limit else "the time ran out",
+            )
             cut = f"it was {'not' if sighting.finding.shrunk is None else 'only partly'} simplified, because {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
     return done
 
 
-def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
+def _simplified(
+    sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn
+) -> Refining[bool]:
     # Return True if nothing is left to do.
     __tracebackhide__ = True
     original = sighting.finding.scenario
@@ -103,7 +117,9 @@ def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: 
         return True
     # Find the simplest scenario that fails in the same way, and run it again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
-    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most  # so that a careful driver is tried
+    may_go_on = (
+        bench.is_at_limit and bench.asked < bench.refining_most
+    )  # so that a careful driver is tried
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
@@ -136,7 +152,9 @@ def _confirmed(
     verdict = bench.finish(run)
     if not shows(sighting, run, verdict, state, bench):
         otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
-        differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
+        differs = (
+            "the reference failed when it ran again" if verdict.kind == "common" else otherwise
+        )
     else:
         is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
         again = "" if is_confirmed else bench.confirm(scenario, run.trace)[-1]
@@ -160,7 +178,9 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
         except OutOfBudget:  # the summary reports it
             return
         except OutOfTime:
-            yield Note(f"the {about} of saved-{sighting.id} were not examined, because the time ran out")
+            yield Note(
+                f"the {about} of saved-{sighting.id} were not examined, because the time ran out"
+            )
             return
         except Exception as error:
             if is_interruption(error):
@@ -170,7 +190,9 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
             return
 
 
-def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench) -> Refining[Seen]:
+def _with_takeover(
+    sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
+) -> Refining[Seen]:
     # Add what a careful driver could have avoided by taking over in the confirmed scenario.
     if verdict.failure is None or verdict.exception is None:
         return sighting
@@ -181,7 +203,9 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     yield Phase(f"replaying saved-{sighting.id} with a careful driver", sighting.id)
     takeover = None
     try:
-        takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
+        takeover = (
+            run.takeover if verdict.failure.check is None and verdict.severity is not None else None
+        )
     except DriverError as error:  # the world cannot simulate the driver
         yield Note(f"{error}. Findings do not state what this driver would have done")
     # The file now describes the simplest scenario. Only its id and its origin are those of the first run.
@@ -189,7 +213,11 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
         before,
         scenario=scenario,
         expect=Expect.from_run(
-            run, verdict.failure, takeover=takeover, against=before.expect.against, root=str(harness.root)
+            run,
+            verdict.failure,
+            takeover=takeover,
+            against=before.expect.against,
+            root=str(harness.root),
         ),
         shrunk=shrunk if shrunk.rollouts else None,
     )

@@ -26,21 +26,39 @@ from pytest_pafot.support.text import visible
 
 PARTING = 3  # the largest number of rows for conditions that another decision evaluates differently
 
-FIRST = 500  # the largest number of evaluations per condition that are compared with another decision
+FIRST = (
+    500  # the largest number of evaluations per condition that are compared with another decision
+)
 
 # the largest number of characters in a row; a longer row omits the condition's text, which no person wrote
 LONGEST = 1000
 
-LOOKED_AT = 50  # the largest number of elements of a value that are compared with those in another decision
+LOOKED_AT = (
+    50  # the largest number of elements of a value that are compared with those in another decision
+)
 
 # a constant in the copied code that is replaced by the recorder, so the code needs no name for it
 _RECORDER = "pytest-pafot: the recorder of conditions"
 
 # the nodes that have conditions, and the names of the fields that contain them
-_TESTS = {ast.If: "test", ast.While: "test", ast.IfExp: "test", ast.comprehension: "ifs", ast.match_case: "guard"}
+_TESTS = {
+    ast.If: "test",
+    ast.While: "test",
+    ast.IfExp: "test",
+    ast.comprehension: "ifs",
+    ast.match_case: "guard",
+}
 
 # parts of a condition that have names or conditions of their own
-_OTHERS = (ast.Lambda, ast.IfExp, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.JoinedStr)
+_OTHERS = (
+    ast.Lambda,
+    ast.IfExp,
+    ast.ListComp,
+    ast.SetComp,
+    ast.DictComp,
+    ast.GeneratorExp,
+    ast.JoinedStr,
+)
 
 _SIMPLE = (bool, int, float, str, type(None))
 
@@ -72,7 +90,11 @@ class Evaluated:
         ]
         values = f"  ({', '.join(told)})" if told else ""
         row = f"{self.condition}{values} -> {evaluation.outcome}"
-        return row if len(row) <= LONGEST else f"{place}: condition of {len(text)} characters -> {evaluation.outcome}"
+        return (
+            row
+            if len(row) <= LONGEST
+            else f"{place}: condition of {len(text)} characters -> {evaluation.outcome}"
+        )
 
 
 def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
@@ -102,7 +124,9 @@ class Parted(NamedTuple):
 
     evaluation: Evaluation
     ending: str  # added to its row
-    whom: tuple[int, ...]  # the moved NPC, on which the outcome depends, even if no value shows this
+    whom: tuple[
+        int, ...
+    ]  # the moved NPC, on which the outcome depends, even if no value shows this
 
 
 def parting(
@@ -129,10 +153,18 @@ def parting(
         for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
             is_same = here.outcome == there.outcome
             # Also skip differences that exist only because a loop reaches the same vehicle earlier or later.
-            if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(here.number, (npc,)):
+            if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(
+                here.number, (npc,)
+            ):
                 continue
             ending = f"also {when}" if is_same else f"{when} {there.outcome}"
-            found.append((here.number, each.condition, Parted(here, f"; {ending}", () if npc is None else (npc,))))
+            found.append(
+                (
+                    here.number,
+                    each.condition,
+                    Parted(here, f"; {ending}", () if npc is None else (npc,)),
+                )
+            )
             break
     # If the action differs, the first difference causes the later differences.
     ordered = sorted(found, reverse=not is_other)[:PARTING]
@@ -159,18 +191,26 @@ def group_conditions(
     """
     rows: dict[tuple[int, ...] | None, dict[str, str]] = {}
 
-    def add(each: Evaluated, evaluation: Evaluation, ending: str = "", unless: tuple[int, ...] = ()) -> None:
+    def add(
+        each: Evaluated, evaluation: Evaluation, ending: str = "", unless: tuple[int, ...] = ()
+    ) -> None:
         about = None if whom is None else whom.get(evaluation.number, unless)
-        rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{ending}"))
+        rows.setdefault(about, {}).setdefault(
+            each.condition, visible(f"{each.row(evaluation)}{ending}")
+        )
 
-    conditions = {each.condition: each for each in evaluated}  # first the rows of `first`, then the other rows
+    conditions = {
+        each.condition: each for each in evaluated
+    }  # first the rows of `first`, then the other rows
     for condition, parted in first.items():
         add(conditions.pop(condition), *parted)
     for each in conditions.values():
         own = [] if whom is None else [one for one in each.first if npc in whom.get(one.number, ())]
         for evaluation in ([_rarest(own)] if own else []) + [each.last]:
             add(each, evaluation)
-    order = sorted(rows, key=lambda about: (about is not None and npc not in about, bool(about), about or ()))
+    order = sorted(
+        rows, key=lambda about: (about is not None and npc not in about, bool(about), about or ())
+    )
     return tuple((_name(about), tuple(rows[about].values())) for about in order)
 
 
@@ -197,14 +237,25 @@ class Conditions:
         sources = [file for file in files if file.suffix == ".py" and file.is_relative_to(root)]
         for file in sources:
             place = f"{file.relative_to(root).as_posix()} " if len(sources) > 1 else ""
-            with suppress(OSError, SyntaxError, ValueError, RecursionError), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Python warned about this source when it was imported.
+            with (
+                suppress(OSError, SyntaxError, ValueError, RecursionError),
+                warnings.catch_warnings(),
+            ):
+                warnings.simplefilter(
+                    "ignore"
+                )  # Python warned about this source when it was imported.
                 source = file.read_bytes()
                 tree = ast.fix_missing_locations(_Marking(place).visit(ast.parse(source)))
                 plain = compile(source, file, "exec", dont_inherit=True)
                 marked = self._with_recorder(compile(tree, file, "exec", dont_inherit=True))
-                self._copies[str(file)] = {code: copy for code, copy in _pairs(plain, marked) if code != copy}
-        self._places = {(code.co_name, code.co_firstlineno) for copies in self._copies.values() for code in copies}
+                self._copies[str(file)] = {
+                    code: copy for code, copy in _pairs(plain, marked) if code != copy
+                }
+        self._places = {
+            (code.co_name, code.co_firstlineno)
+            for copies in self._copies.values()
+            for code in copies
+        }
         # Find the functions now, because a forked process freezes its objects and would not find them later.
         self._functions = self._found()
 
@@ -230,17 +281,26 @@ class Conditions:
             for function, code in before:
                 function.__code__ = code
         held = [ads]
-        for _ in range(3):  # to the methods, attributes and variables of the ADS, and the contents of their lists
+        for _ in range(
+            3
+        ):  # to the methods, attributes and variables of the ADS, and the contents of their lists
             held = gc.get_referents(*held)
             if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
                 return
         evaluated += self._recorder.evaluated()
 
     def _found(self) -> list[FunctionType]:
-        return [each for each in gc.get_objects() if type(each) is FunctionType and self._copy(each.__code__)]
+        return [
+            each
+            for each in gc.get_objects()
+            if type(each) is FunctionType and self._copy(each.__code__)
+        ]
 
     def _copy(self, code: CodeType) -> CodeType | None:
-        if (code.co_name, code.co_firstlineno) not in self._places:  # much faster than resolving the path
+        if (
+            code.co_name,
+            code.co_firstlineno,
+        ) not in self._places:  # much faster than resolving the path
             return None
         file = self._real.get(code.co_filename)
         if file is None:
@@ -257,8 +317,12 @@ class Conditions:
 
 
 def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeType]]:
-    inner, copies = ([each for each in code.co_consts if type(each) is CodeType] for code in (plain, marked))
-    if [(each.co_name, each.co_freevars) for each in inner] == [(each.co_name, each.co_freevars) for each in copies]:
+    inner, copies = (
+        [each for each in code.co_consts if type(each) is CodeType] for code in (plain, marked)
+    )
+    if [(each.co_name, each.co_freevars) for each in inner] == [
+        (each.co_name, each.co_freevars) for each in copies
+    ]:
         for each, copy in zip(inner, copies, strict=True):
             yield each, copy
             yield from _pairs(each, copy)
@@ -276,17 +340,26 @@ class _Marking(ast.NodeTransformer):
             tests = getattr(node, name)
             setattr(node, name, [] if isinstance(tests, list) else None)
             self.generic_visit(node)
-            marked = [self._condition(each, is_test=True) for each in (tests if isinstance(tests, list) else [tests])]
+            marked = [
+                self._condition(each, is_test=True)
+                for each in (tests if isinstance(tests, list) else [tests])
+            ]
             setattr(node, name, marked if isinstance(tests, list) else marked[0])
             return node
-        return self._condition(node) if isinstance(node, (ast.Compare, ast.BoolOp)) else self.generic_visit(node)
+        return (
+            self._condition(node)
+            if isinstance(node, (ast.Compare, ast.BoolOp))
+            else self.generic_visit(node)
+        )
 
     def _condition(self, node: Any, *, is_test: bool = False) -> Any:
         if node is None or isinstance(node, ast.Constant):  # a case without a guard; `while True`
             return node
         name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
         value = _Values(self, name).visit(node)
-        if is_test:  # Its truth is evaluated only once, because its evaluation may run the user's code.
+        if (
+            is_test
+        ):  # Its truth is evaluated only once, because its evaluation may run the user's code.
             value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
         return _called("end", node, name, _called("begin", node), value)
 
@@ -299,7 +372,9 @@ class _Values(ast.NodeTransformer):
 
     def visit(self, node: Any) -> Any:
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript, ast.Call, ast.NamedExpr)):
-            text = ast.Constant(ast.unparse(node.target if isinstance(node, ast.NamedExpr) else node))
+            text = ast.Constant(
+                ast.unparse(node.target if isinstance(node, ast.NamedExpr) else node)
+            )
             return _called("value", node, self._condition, text, self._marking.generic_visit(node))
         return (self._marking.visit if isinstance(node, _OTHERS) else self.generic_visit)(node)
 
@@ -336,17 +411,23 @@ class _Recorder:
 
     def end(self, condition: str, since: int, value: Any) -> Any:
         if self.thread == get_ident():
-            values = {text: value for whose, text, value in self._values[since:] if whose == condition}
+            values = {
+                text: value for whose, text, value in self._values[since:] if whose == condition
+            }
             del self._values[since:]
             if type(_plain(value)) in _SIMPLE:
                 texts = tuple((text, _text(each)) for text, each in values.items())
-                evaluation = Evaluation(next(self._numbers), _text(value), texts, tuple(map(_exact, values.values())))
+                evaluation = Evaluation(
+                    next(self._numbers), _text(value), texts, tuple(map(_exact, values.values()))
+                )
                 if len(first := self._first.setdefault(condition, [])) < FIRST:
                     first.append(evaluation)
                 outcomes = self._outcomes.pop(condition, {})
                 times, _ = outcomes.pop(evaluation.outcome, (0, None))
                 outcomes[evaluation.outcome] = times + 1, evaluation
-                self._outcomes[condition] = outcomes  # at the end, because this condition was evaluated last
+                self._outcomes[condition] = (
+                    outcomes  # at the end, because this condition was evaluated last
+                )
         return value
 
     def evaluated(self) -> list[Evaluated]:
@@ -381,14 +462,20 @@ def _exact(value: Any, depth: int = 2) -> str:
     if type(plain) in _SIMPLE:
         return _text(plain) if type(plain) is int else repr(plain)
     if kind is np.ndarray:
-        return repr(value.tobytes()) if value.dtype.kind in "biuf" and value.size <= LOOKED_AT**2 else _text(value)
+        return (
+            repr(value.tobytes())
+            if value.dtype.kind in "biuf" and value.size <= LOOKED_AT**2
+            else _text(value)
+        )
     inner: Iterable[Any] = ()
     if issubclass(kind, tuple):
         inner = tuple.__iter__(value)
     elif issubclass(kind, list):
         inner = list.__iter__(value)
     else:
-        own = next((vars(each)["__dict__"] for each in kind.__mro__ if "__dict__" in vars(each)), None)
+        own = next(
+            (vars(each)["__dict__"] for each in kind.__mro__ if "__dict__" in vars(each)), None
+        )
         inner = own.__get__(value).values() if type(own) is GetSetDescriptorType else ()
     return f"{_text(value)} {[_exact(each, depth - 1) for each in islice(inner, LOOKED_AT)] if depth else ''}"
 

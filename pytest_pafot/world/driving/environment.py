@@ -39,7 +39,14 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.plausible import Plausibility
 from pytest_pafot.world.roads.road import Pose, StraightRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
-from pytest_pafot.world.stock import AbstractLane, Road, RoadObject, Vehicle, class_from_path, observation
+from pytest_pafot.world.stock import (
+    AbstractLane,
+    Road,
+    RoadObject,
+    Vehicle,
+    class_from_path,
+    observation,
+)
 
 
 def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
@@ -66,19 +73,27 @@ def checked_action(action: Any, space: Any) -> Any:
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
-    if is_choice:  # only a choice must be within bounds, because the environment limits other numbers itself
+    if (
+        is_choice
+    ):  # only a choice must be within bounds, because the environment limits other numbers itself
         expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
     try:
         given = np.asarray(action)  # may run the ADS's code, for example __array__
     except (TypeError, ValueError):  # such as rows of different lengths
         raise _bad(expected, action) from None
     if is_choice:
-        if given.size != 1 or given.dtype.kind not in "iu" or not space.contains(int(given.reshape(()))):
+        if (
+            given.size != 1
+            or given.dtype.kind not in "iu"
+            or not space.contains(int(given.reshape(())))
+        ):
             raise _bad(expected, action, _hint_at_choice(given, space))
         return int(given.reshape(()))
     if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
         raise _bad(expected, action)
-    return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
+    return np.array(
+        given, dtype=np.result_type(given, np.float32)
+    )  # a copy: the ADS may reuse its array
 
 
 def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
@@ -134,7 +149,9 @@ class View:
         ego.check_collisions = True
         road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
-        for each in source.road.vehicles:  # without a route or a target, so that the NPCs' plans stay hidden
+        for each in (
+            source.road.vehicles
+        ):  # without a route or a target, so that the NPCs' plans stay hidden
             if each is not source.vehicle:
                 state = np.array(each.position), float(each.heading), float(each.speed)
                 road.vehicles.append(self._traffic(road, *state))
@@ -157,7 +174,12 @@ _REPLACED = {
 }  # fmt: skip
 
 # highway-env's classes of observations that depend only on the vehicles on the road
-OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
+OF_THE_ROAD = (
+    "KinematicObservation",
+    "OccupancyGridObservation",
+    "TimeToCollisionObservation",
+    "LidarObservation",
+)
 
 
 def observer(env: Any) -> Any:
@@ -245,18 +267,31 @@ class FastTable:
         )
         if is_plain:
             try:
-                return self._table.observe(ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane)
-            except (LookupError, ZeroDivisionError):  # a lane that is not on the road, or an empty features_range
+                return self._table.observe(
+                    ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane
+                )
+            except (
+                LookupError,
+                ZeroDivisionError,
+            ):  # a lane that is not on the road, or an empty features_range
                 pass
         return self._slowly()
 
     @cached_property
     def _table(self) -> Table:
         stock = self._stock
-        if stock.normalize and not stock.features_range:  # as highway-env does at the first observation
+        if (
+            stock.normalize and not stock.features_range
+        ):  # as highway-env does at the first observation
             lanes = len(self._roads.all_side_lanes(stock.observer_vehicle.lane_index))
-            ends = 5.0 * Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * lanes, *(2 * Vehicle.MAX_SPEED,) * 2
-            stock.features_range = {name: [-end, end] for name, end in zip(("x", "y", "vx", "vy"), ends, strict=True)}
+            ends = (
+                5.0 * Vehicle.MAX_SPEED,
+                AbstractLane.DEFAULT_WIDTH * lanes,
+                *(2 * Vehicle.MAX_SPEED,) * 2,
+            )
+            stock.features_range = {
+                name: [-end, end] for name, end in zip(("x", "y", "vx", "vy"), ends, strict=True)
+            }
         ranges = stock.features_range if stock.normalize else {}
         return Table(self._network, self._lanes, stock, ranges)
 
@@ -267,7 +302,9 @@ def _slow(stock: Any) -> Any:
 
 @lru_cache(maxsize=1000)
 def _is_plain(kind: Any, base: Any) -> bool:
-    return issubclass(kind, base) and all(getattr(kind, name) is getattr(base, name) for name in _REPLACED[base])
+    return issubclass(kind, base) and all(
+        getattr(kind, name) is getattr(base, name) for name in _REPLACED[base]
+    )
 
 
 class GuardedDriver(EgoDriver):
@@ -431,7 +468,9 @@ class ModelPolicyDriver(PolicyDriver):
         self._model = self._compiled.vehicle(env.vehicle)
         super().__init__(ads, env, guard, every, traffic, view, self._model)
         is_stock = type(env.action_type).__module__.startswith("highway_env.")
-        is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(traffic.seen)
+        is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(
+            traffic.seen
+        )
         self.reads_poses_alone = is_stock and is_fast
 
     def show_all(self, *, is_lean: bool = False) -> None:
@@ -439,7 +478,9 @@ class ModelPolicyDriver(PolicyDriver):
         super().show_all(is_lean=is_lean)
 
     def _applied(self, action: Any) -> Any:
-        checked = super()._applied(action)  # the environment interprets the action, and the kernel takes the goal
+        checked = super()._applied(
+            action
+        )  # the environment interprets the action, and the kernel takes the goal
         self._compiled.take(self.vehicle, self._model)
         return checked
 
@@ -466,9 +507,14 @@ def follow(body: Body, vehicle: Any) -> None:
     x, y = vehicle.position
     state = float(x), float(y), float(vehicle.heading), float(vehicle.speed)
     if not all(map(math.isfinite, state)):
-        raise BadAction(f"expected a vehicle with a finite position, heading and speed, received {state}")
+        raise BadAction(
+            f"expected a vehicle with a finite position, heading and speed, received {state}"
+        )
     body.place(*state)
-    body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+    body.acceleration, body.steering = (
+        float(vehicle.action["acceleration"]),
+        float(vehicle.action["steering"]),
+    )
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
@@ -479,7 +525,9 @@ def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:
             npc.predict_trajectory_constant_speed = prediction(body, pose_at)
 
 
-def prediction(body: Body, pose_at: Callable[[float], Pose]) -> Callable[[Any], tuple[list[Any], list[float]]]:
+def prediction(
+    body: Body, pose_at: Callable[[float], Pose]
+) -> Callable[[Any], tuple[list[Any], list[float]]]:
     """Return a function that predicts an NPC's motion along its path or lane at its current speed."""
 
     def predicted(times: Any) -> tuple[list[Any], list[float]]:

@@ -36,8 +36,12 @@ The callable can have these members: ``check_world(world)`` raises an error if i
 def is_vehicle_class(candidate: object) -> bool:
     """Return whether an object is a highway-env vehicle class or a ``functools.partial`` of a vehicle class."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
-    kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # imported wherever a vehicle class exists
-    return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
+    kinematics = sys.modules.get(
+        "highway_env.vehicle.kinematics"
+    )  # imported wherever a vehicle class exists
+    return (
+        kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
+    )
 
 
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
@@ -49,7 +53,10 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     if is_vehicle_class(factory):
         return _checked_vehicle_class(factory)
     if not callable(factory):
-        hint = hint_at_object(factory) or "Return a factory from the fixture, for example `return lambda: MyPlanner()`"
+        hint = (
+            hint_at_object(factory)
+            or "Return a factory from the fixture, for example `return lambda: MyPlanner()`"
+        )
         raise AdsFactoryError(
             "ads: expected a factory, a callable that returns a new ADS for each scenario, received "
             f"{safe_repr(factory)}. {hint}"
@@ -115,12 +122,23 @@ def hint_at_object(given: Any) -> str:
     """Return a hint for a vehicle or a model that is not an ADS, or an empty string."""
     if is_vehicle_class(type(given)):
         name = type(given).__name__
-        return f"Pass the class itself, `{name}`, without calling it. Each run makes its own vehicle"
-    method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(given, name, None))), "")
+        return (
+            f"Pass the class itself, `{name}`, without calling it. Each run makes its own vehicle"
+        )
+    method = next(
+        (
+            name
+            for name in ("predict", "act", "decide", "step")
+            if callable(getattr(given, name, None))
+        ),
+        "",
+    )
     if not method:
         return ""
     example = f", {PREDICTING}" if method == "predict" else ""
-    return f"It has a method {method!r}. Return a function that calls it with the observation{example}"
+    return (
+        f"It has a method {method!r}. Return a function that calls it with the observation{example}"
+    )
 
 
 def takes_nothing(factory: AdsFactory) -> bool:
@@ -164,11 +182,15 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
 
 def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
     """Give a vehicle a copy of the environment's route, if both have one."""
-    if route is not None and hasattr(vehicle, "route"):  # a copy, because highway-env shortens it during the run
+    if route is not None and hasattr(
+        vehicle, "route"
+    ):  # a copy, because highway-env shortens it during the run
         vehicle.route = list(route)
 
 
-DRIVES_ITSELF = "use a planner, because a vehicle class reads the road itself, so nothing can be hidden from it"
+DRIVES_ITSELF = (
+    "use a planner, because a vehicle class reads the road itself, so nothing can be hidden from it"
+)
 
 
 @dataclass(frozen=True)
@@ -196,7 +218,9 @@ class Perception(Sight):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "__wrapped__", self.ads)  # inspect then returns the signature of this factory
+        object.__setattr__(
+            self, "__wrapped__", self.ads
+        )  # inspect then returns the signature of this factory
         fix = ""
         if isinstance(self.ads, Perception):
             fix = "set all imperfections in one pafot.Perception"
@@ -205,7 +229,9 @@ class Perception(Sight):
         elif not callable(self.ads):
             fix = "pass a function or class that returns an ADS, as in `pafot.Perception(MyPlanner, latency=0.3)`"
         if fix:
-            raise refused_policy("a factory that returns a new ADS for each scenario", safe_repr(self.ads), fix)
+            raise refused_policy(
+                "a factory that returns a new ADS for each scenario", safe_repr(self.ads), fix
+            )
 
     @property
     def sight(self) -> Sight:
@@ -219,7 +245,11 @@ class Perception(Sight):
             raise refused_policy("a pafot.Perception to be used as the factory", received, fix)
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):
-            raise refused_policy("the factory in a pafot.Perception to return a planner", safe_repr(ads), DRIVES_ITSELF)
+            raise refused_policy(
+                "the factory in a pafot.Perception to return a planner",
+                safe_repr(ads),
+                DRIVES_ITSELF,
+            )
         return SeeingAds(ads, self.sight)
 
 
@@ -232,7 +262,10 @@ class SeeingAds:
 
     def __call__(self, *_: Any) -> Any:
         expected = "pafot.Highway or pafot.World for an ADS in a pafot.Perception"
-        received, fix = "a world that calls the ADS directly", "implement the imperfect perception in that world"
+        received, fix = (
+            "a world that calls the ADS directly",
+            "implement the imperfect perception in that world",
+        )
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
 
     @property
@@ -268,9 +301,14 @@ class ImperfectSensor(Sensor):
     def observation(self, tick: int) -> Observation:
         exact = self._sensor
         # The state of the ego is current, but the states of other vehicles are as old as the latency.
-        now, then = (exact.observation(each) for each in (tick, max(0, tick - self._sight.delay(exact.physics_hz))))
+        now, then = (
+            exact.observation(each)
+            for each in (tick, max(0, tick - self._sight.delay(exact.physics_hz)))
+        )
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
-        for npc, error_x, error_y, error_speed in self._sight.glimpses(then.array, self._seed, tick):
+        for npc, error_x, error_y, error_speed in self._sight.glimpses(
+            then.array, self._seed, tick
+        ):
             was = then.others[npc]
             x, y = was.x + error_x, was.y + error_y
             lane = exact.lanes.closest(x, y, was.heading)
@@ -285,7 +323,9 @@ class Ads:
     """The ADS that a policy has created for one run."""
 
     given: Any  # the return value of the factory, which is closed after the run
-    decides: Any  # the callable that receives the observations, or a vehicle class, which needs none
+    decides: (
+        Any  # the callable that receives the observations, or a vehicle class, which needs none
+    )
     sight: Sight | None
     drives_itself: bool  # true for a vehicle class, which a factory may also return
 
@@ -299,7 +339,9 @@ class Ads:
         if self.sight is not None and self.sight.imperfections:
             received = "a policy that uses an environment's observations"
             fix = "to make these imperfect, write a wrapper"
-            raise refused_policy("the ADS in a pafot.Perception to be a planner in SI units", received, fix)
+            raise refused_policy(
+                "the ADS in a pafot.Perception to be a planner in SI units", received, fix
+            )
         return self.decides
 
 
@@ -355,7 +397,9 @@ class Policy:
         return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
 
     def _own(self, name: str) -> Any:
-        inner = inspect.unwrap(self.factory)  # a class is a factory, but its attributes belong to its ADSs
+        inner = inspect.unwrap(
+            self.factory
+        )  # a class is a factory, but its attributes belong to its ADSs
         return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
@@ -387,15 +431,21 @@ class IdmModel:
 def is_patched(cls: type) -> bool:
     """Return whether functions of a highway-env class have been replaced or added, for example by a test."""
     module, qualname = cls.__module__, cls.__qualname__
-    for name, each in vars(cls).items():  # simple comparisons, because every run of a vehicle class makes them
-        if type(each) is FunctionType and (each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module):
+    for name, each in vars(
+        cls
+    ).items():  # simple comparisons, because every run of a vehicle class makes them
+        if type(each) is FunctionType and (
+            each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module
+        ):
             return True
     return False
 
 
 def is_usable(constants: Mapping[str, Any]) -> bool:
     """Return whether the model works with these constants of a class or a vehicle."""
-    if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
+    if not all(
+        isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()
+    ):
         return False
     return constants["COMFORT_ACC_MIN"] < 0 and all(constants[name] > 0 for name in POSITIVE)
 
@@ -408,7 +458,9 @@ def idm_model(ads: Any) -> IdmModel | None:
     if stock is None or not isinstance(cls, type) or not issubclass(cls, stock):
         return None
     # Only constants may differ from the stock class: other code would drive differently.
-    own = [base for base in cls.__mro__ if base not in stock.__mro__]  # a base may also follow the stock class
+    own = [
+        base for base in cls.__mro__ if base not in stock.__mro__
+    ]  # a base may also follow the stock class
     only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
@@ -421,10 +473,14 @@ def idm_model(ads: Any) -> IdmModel | None:
     if type(cls).__call__ is not type.__call__ or other_code or stock.TAU_PURSUIT != PURSUIT:
         return None
     named = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
-    constants = {name: named[name] for name in CONSTANTS}  # without getattr, because a descriptor is no constant
+    constants = {
+        name: named[name] for name in CONSTANTS
+    }  # without getattr, because a descriptor is no constant
     if not is_usable(constants):
         return None
-    return IdmModel(constants=constants, changes_lanes=bool(options.get("enable_lane_change", True)))
+    return IdmModel(
+        constants=constants, changes_lanes=bool(options.get("enable_lane_change", True))
+    )
 
 
 Check = Callable[[Any], Any]
@@ -436,9 +492,13 @@ class Aside:
     """The decisions that an ADS makes during a run without affecting the run."""
 
     asked: int = 0  # number of decisions that the ADS actually made
-    answers: list[Any] = field(default_factory=list)  # one action per decision, or None if the ADS raised an error
+    answers: list[Any] = field(
+        default_factory=list
+    )  # one action per decision, or None if the ADS raised an error
     at: Any = None  # the observation at the decision of a question, before it is replaced
-    conditions: list[Evaluated] = field(default_factory=list)  # evaluated at the decision of a question
+    conditions: list[Evaluated] = field(
+        default_factory=list
+    )  # evaluated at the decision of a question
 
     def action_at(self, number: int) -> Any:
         return self.answers[number] if number < len(self.answers) else None
@@ -450,14 +510,25 @@ class Question:
 
     number: int
     instead: Any = None  # replaces the observation, unless None
-    is_noted: bool = True  # false if the observation, which may be any object of a simulator, need not be stored
-    conditions: Conditions | None = None  # records the conditions that the ADS evaluates in this decision
+    is_noted: bool = (
+        True  # false if the observation, which may be any object of a simulator, need not be stored
+    )
+    conditions: Conditions | None = (
+        None  # records the conditions that the ADS evaluates in this decision
+    )
 
 
 class Shadow(Around):
     """An ADS whose decisions have no effect, because the run uses recorded actions."""
 
-    def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
+    def __init__(
+        self,
+        ads: Any,
+        actions: Sequence[Any],
+        check: Check,
+        aside: Aside,
+        question: Question | None,
+    ) -> None:
         super().__init__(ads)
         self._actions, self._check, self._aside, self._question = actions, check, aside, question
 
@@ -465,12 +536,18 @@ class Shadow(Around):
         aside, number = self._aside, len(self._aside.answers)
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
-        if question is not None and question.instead is not None and question.number < number < len(self._actions):
+        if (
+            question is not None
+            and question.instead is not None
+            and question.number < number < len(self._actions)
+        ):
             # A decision here would not help to answer the question.
             aside.answers.append(self._actions[number])
             return self._actions[number]
         if question is not None and number == question.number:
-            aside.at = copy.deepcopy(observation) if question.is_noted else None  # the ADS may write into it
+            aside.at = (
+                copy.deepcopy(observation) if question.is_noted else None
+            )  # the ADS may write into it
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
@@ -485,7 +562,11 @@ class Shadow(Around):
 
 
 def beside(
-    factory: AdsFactory, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None = None
+    factory: AdsFactory,
+    actions: Sequence[Any],
+    check: Check,
+    aside: Aside,
+    question: Question | None = None,
 ) -> AdsFactory:
     """Return a factory of ADSs whose decisions have no effect, because the run uses the recorded actions."""
     return wrap_ads(factory, lambda ads: Shadow(ads, actions, check, aside, question))
@@ -511,9 +592,13 @@ class Unseeing(Around):
         self.npc = npc
 
     def __call__(self, seen: Any) -> Any:
-        if isinstance(seen, Observation):  # observations of an environment are made without the NPC, see `hide`
+        if isinstance(
+            seen, Observation
+        ):  # observations of an environment are made without the NPC, see `hide`
             seen = changed(seen, self.npc, None) if self.npc in seen.ids else seen
-            seen = seen.replace(crossing=tuple([each for each in seen.crossing if each.id != self.npc]))
+            seen = seen.replace(
+                crossing=tuple([each for each in seen.crossing if each.id != self.npc])
+            )
         return self._ads(seen)
 
 
@@ -548,7 +633,9 @@ def wrap_ads(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
     return functools.wraps(factory, updated=())(make)
 
 
-def changed(observation: Observation, npc: int, by: tuple[float, float, float] | None) -> Observation:
+def changed(
+    observation: Observation, npc: int, by: tuple[float, float, float] | None
+) -> Observation:
     """Return a copy of an observation in which one NPC is moved or hidden.
 
     ``by`` is added to the NPC's x [m], y [m] and speed [m/s]. If it is None, the NPC is hidden.
@@ -561,5 +648,9 @@ def changed(observation: Observation, npc: int, by: tuple[float, float, float] |
         was, (x, y, speed) = others[place], by
         # the nearest lane may have changed
         aside = [abs(centre - (was.y + y)) for centre in observation.lane_centres]
-        others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside)))
-    return observation.replace(others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral))
+        others[place] = was._replace(
+            x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside))
+        )
+    return observation.replace(
+        others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral)
+    )

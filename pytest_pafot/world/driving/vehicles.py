@@ -57,7 +57,10 @@ def compiled_network(network: Any) -> Network | None:
             wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
             shape = *lane.start, *lane.direction, lane.heading, *wave
         shapes += (*shape, *([0.0] * (9 - len(shape))))  # padded with zeros, see Network
-    sections = {section: number for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))}
+    sections = {
+        section: number
+        for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))
+    }
     return Network(
         kinds,
         [float(each) for each in shapes],
@@ -79,7 +82,9 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self._indexes = list(network.lanes_dict())
         self._compiled = compiled_network(network)
 
-    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
+    def get_closest_lane_index(
+        self, position: Any, heading: float | None = None
+    ) -> tuple[str, str, int]:
         index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
         if self._compiled is None or heading is None or not (math.isfinite(x) and math.isfinite(y)):
@@ -136,7 +141,16 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
 
 # the attributes that a run sets in vehicles of an environment's traffic class
-STATE = ("position", "heading", "speed", "action", "lane", "lane_index", "target_lane_index", "target_speed")
+STATE = (
+    "position",
+    "heading",
+    "speed",
+    "action",
+    "lane",
+    "lane_index",
+    "target_lane_index",
+    "target_speed",
+)
 
 
 def _copied(held: Any, protocol: Any) -> Any:
@@ -144,7 +158,11 @@ def _copied(held: Any, protocol: Any) -> Any:
     kind, seen = type(held), type(held).__base__
     made: Any = object.__reduce_ex__(held, protocol)
     make, given, *others = made
-    return (seen if make is kind else make), tuple([seen if each is kind else each for each in given]), *others
+    return (
+        (seen if make is kind else make),
+        tuple([seen if each is kind else each for each in given]),
+        *others,
+    )
 
 
 # with these members, an environment's code can read and copy a vehicle, but not move it
@@ -159,7 +177,9 @@ HELD: Mapping[str, Any] = MappingProxyType(
 # with these members, a vehicle of any class keeps its controls, and does not check for contacts
 MOVED: Mapping[str, Any] = MappingProxyType(
     {
-        **{name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")},
+        **{
+            name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")
+        },
         "handle_collisions": Vehicle.handle_collisions,
         # Properties, because the vehicle itself may have these attributes.
         "MAX_SPEED": property(lambda self: Vehicle.MAX_SPEED),
@@ -191,7 +211,9 @@ class TrafficClass:
 
     def _with(self, own: Mapping[str, Any]) -> Any:
         body = {"__slots__": (), "__module__": self.seen.__module__, **own}
-        return types.new_class(self.seen.__name__, (self.seen,), exec_body=lambda names: names.update(body))
+        return types.new_class(
+            self.seen.__name__, (self.seen,), exec_body=lambda names: names.update(body)
+        )
 
 
 def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
@@ -205,18 +227,26 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
     seen: Any = given if isinstance(given, type) else class_from_path(given)
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
         raise TypeError(f"{given!r:.100} is not a class derived from highway-env's Vehicle")
-    if own := [name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))]:
-        raise TypeError(f"{seen.__name__} itself computes {', '.join(own)}, which the run has to set")
+    if own := [
+        name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))
+    ]:
+        raise TypeError(
+            f"{seen.__name__} itself computes {', '.join(own)}, which the run has to set"
+        )
     ego = road.vehicles[0]
     pose = np.array(ego.position), float(ego.heading), float(ego.speed)
     # The class must accept the attributes that a run sets, and its vehicles must be able to change to derived classes.
     made = seen(road, *pose)
-    plain = next(each for each in (IDMVehicle, ControlledVehicle, Vehicle) if issubclass(seen, each))(road, *pose)
+    plain = next(
+        each for each in (IDMVehicle, ControlledVehicle, Vehicle) if issubclass(seen, each)
+    )(road, *pose)
     if lacking := [name for name in vars(plain) if not hasattr(made, name)]:
         raise TypeError(f"{seen.__name__}.__init__ does not set {', '.join(lacking)}")
     for name in vars(plain).keys() & STATE:
         setattr(made, name, getattr(made, name))
-    constants = dict[str, Any]()  # base classes come first, so that derived classes override their constants
+    constants = dict[
+        str, Any
+    ]()  # base classes come first, so that derived classes override their constants
     for each in reversed(seen.__mro__):
         constants = {name: value for name, value in constants.items() if name not in vars(each)}
         constants |= changed.get(each, {})
@@ -229,7 +259,9 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
 class Traffic:
     """The NPCs of a run as an environment's code sees them, as vehicles of the environment's traffic class."""
 
-    def __init__(self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid) -> None:
+    def __init__(
+        self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid
+    ) -> None:
         self.vehicles: list[Any] = []
         self._network, self._road = stock_road.network, road
         self._bodies, self._npcs = places.vehicles[1:], places.bodies[1:]
@@ -241,9 +273,13 @@ class Traffic:
             made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
             vars(made).update(traffic.constants, LENGTH=body.length, WIDTH=body.width)
             made.diagonal = np.hypot(body.length, body.width)
-            made.check_collisions = traffic.seen is not StockVehicle  # a StockVehicle must not react to contacts
+            made.check_collisions = (
+                traffic.seen is not StockVehicle
+            )  # a StockVehicle must not react to contacts
             self.vehicles.append(made)
-            stock_road.vehicles.append(made)  # one by one, because a class may look for other vehicles
+            stock_road.vehicles.append(
+                made
+            )  # one by one, because a class may look for other vehicles
             if self._is_controlled and isinstance(npc, CrossingNpc) and (route or is_regulated):
                 *end, heading = npc.track.pose((len(npc.track.parts) - 1) * STEP)
                 made.plan_route_to(self._network.get_closest_lane_index(np.array(end), heading)[1])
@@ -265,13 +301,17 @@ class Traffic:
 
     def show_targets(self) -> None:
         """Copy the NPCs' targets to the vehicles. The lanes of the vehicles must be up to date."""
-        for each, npc in zip(self.vehicles if self._is_controlled else (), self._npcs, strict=False):
+        for each, npc in zip(
+            self.vehicles if self._is_controlled else (), self._npcs, strict=False
+        ):
             lane, each.target_lane_index = each.lane_index, each.lane_index
             # The target speed is never exactly 0, because environments such as merge-v0 divide by it.
             each.target_speed = float(not_zero(_target_speed(npc)))
             if isinstance(npc, Npc) and npc.executed and npc.heading_for != npc.lane:
                 x, y, heading = self._road.position(npc.x, npc.heading_for)
-                each.target_lane_index = self._network.get_closest_lane_index(np.array([x, y]), heading)
+                each.target_lane_index = self._network.get_closest_lane_index(
+                    np.array([x, y]), heading
+                )
             passed = [step[:2] for step in each.route or ()]
             if lane[:2] in passed:
                 each.route = each.route[passed.index(lane[:2]) :]
@@ -285,13 +325,17 @@ def _target_speed(npc: Any) -> float:
     return float(npc.target_speed if npc.kept_lane < 0 and npc.shift_lane < 0 else npc.kept_speed)
 
 
-def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:
+def straight_network(
+    lanes: int, length: float, lane_width: float, speed_limit: float
+) -> RoadNetwork:
     """Create a highway-env network of parallel straight lanes between the nodes "0" and "1", with sizes in metres."""
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
         y, types = index * lane_width, lane.line_types
-        own = StraightLane([0.0, y], [length, y], width=lane_width, line_types=types, speed_limit=speed_limit)
+        own = StraightLane(
+            [0.0, y], [length, y], width=lane_width, line_types=types, speed_limit=speed_limit
+        )
         network.add_lane("0", "1", own)
     return network
 
@@ -340,7 +384,9 @@ class CompiledRoad:
         self._lanes = lanes
         self._named = list(road.network.lanes_dict().items())
         self._numbers = {index: number for number, (index, _) in enumerate(self._named)}
-        self._x, self._y, _ = lanes.position(0.0, 0) if isinstance(lanes, StraightRoad) else (0.0, 0.0, 0.0)
+        self._x, self._y, _ = (
+            lanes.position(0.0, 0) if isinstance(lanes, StraightRoad) else (0.0, 0.0, 0.0)
+        )
         self._searched = _searched(road, self._numbers)
         self._is_regulated = isinstance(road, RegulatedRoad)
 
@@ -354,17 +400,28 @@ class CompiledRoad:
 
         # highway-env's network shortens the vehicle's route in this call
         def following(lane: int, x: float, y: float) -> tuple[int, int]:
-            here, route, random = np.array([x, y]), getattr(vehicle, "route", None), self._road.np_random
-            after = network.next_lane(self._named[lane][0], route=route, position=here, np_random=random)
+            here, route, random = (
+                np.array([x, y]),
+                getattr(vehicle, "route", None),
+                self._road.np_random,
+            )
+            after = network.next_lane(
+                self._named[lane][0], route=route, position=here, np_random=random
+            )
             return numbers[after], routed()
 
         def route(lane: int) -> list[int]:
             here = self._named[lane][0]
-            return [numbers[a, b, here[2] if number is None else number] for a, b, number in vehicle.route or [here]]
+            return [
+                numbers[a, b, here[2] if number is None else number]
+                for a, b, number in vehicle.route or [here]
+            ]
 
         body: GoalVehicle
         if isinstance(self._lanes, Network):
-            body = NetworkVehicle(constants_of(vehicle), self._lanes, following, routed(), route, self._searched)
+            body = NetworkVehicle(
+                constants_of(vehicle), self._lanes, following, routed(), route, self._searched
+            )
         else:
             body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
         body.has_goal = isinstance(vehicle, ControlledVehicle)
@@ -385,8 +442,14 @@ class CompiledRoad:
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the goal and the controls of a highway-env vehicle to a compiled vehicle."""
         if body.has_goal:
-            body.goal, body.target_speed = self._numbers[vehicle.target_lane_index], float(vehicle.target_speed)
-        body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+            body.goal, body.target_speed = (
+                self._numbers[vehicle.target_lane_index],
+                float(vehicle.target_speed),
+            )
+        body.acceleration, body.steering = (
+            float(vehicle.action["acceleration"]),
+            float(vehicle.action["steering"]),
+        )
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a highway-env vehicle."""
@@ -395,7 +458,10 @@ class CompiledRoad:
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[body.closest]
         if body.has_goal:
-            vehicle.target_lane_index, vehicle.target_speed = self._named[body.goal][0], body.target_speed
+            vehicle.target_lane_index, vehicle.target_speed = (
+                self._named[body.goal][0],
+                body.target_speed,
+            )
         if body.drives_itself:
             vehicle.timer = body.timer
             if self._is_regulated:
@@ -408,10 +474,15 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and their starts [m]."""
     lanes, graph = road.network.lanes_dict(), road.network.graph
     searched = [[(number, 0.0)] for number in numbers.values()]
-    for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():
+    for (origin, end, lane), number in (
+        numbers.items() if road.neighbour_vehicles_connected_lanes else ()
+    ):
         after = [(end, node) for node in graph.get(end, {})]
         before = [(node, origin) for node, ends in graph.items() if origin in ends]
-        for section in (*after, *before):  # the lanes that follow and the lanes that lead here, if IDM looks there
+        for section in (
+            *after,
+            *before,
+        ):  # the lanes that follow and the lanes that lead here, if IDM looks there
             count = len(graph[section[0]][section[1]])
             index = (*section, lane if lane < count else 0)
             begins = lanes[origin, end, lane].length if section in after else -lanes[index].length
@@ -419,7 +490,9 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     return searched
 
 
-def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
+def egos_rules(
+    road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any
+) -> EgosRoadRules | None:
     """Return a regulated road's rules for an ego driven by ``model``, or None for other roads."""
     way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):

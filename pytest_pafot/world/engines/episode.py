@@ -58,7 +58,9 @@ class Episode:
     undriven: str = ""
 
 
-def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False) -> Episode:
+def drive_episode(
+    world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False
+) -> Episode:
     """Run one episode of a world's environment, with its own traffic and a new policy.
 
     Args:
@@ -84,7 +86,9 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
             raise
         except Exception as wrong:
             expected = f"{environment.env_id}, with its wrappers, to reset with the seed {seed}"
-            raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
+            raise WorldError(
+                field="world", expected=expected, received=described(wrong), fix="correct it"
+            ) from wrong
         view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
             watch, made = _watching(env), policy.make(**({} if view is None else {"env": view.env}))
@@ -92,7 +96,10 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
                 if made.drives_itself or is_planner:
                     steps, error = _drive_beside(env, made, seed, guard, around, watch)
                 else:
-                    steps, error = _drive_by_actions(outer, made, guard, around, seen, view, watch), None
+                    steps, error = (
+                        _drive_by_actions(outer, made, guard, around, seen, view, watch),
+                        None,
+                    )
             if error is not None or "crashed" in watch():
                 return Episode(seed, error is None, error)
             if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
@@ -138,7 +145,13 @@ def _watching(env: Any) -> Watch:
 
 
 def _drive_by_actions(
-    outer: Any, made: Ads, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None, watch: Watch
+    outer: Any,
+    made: Ads,
+    guard: HangGuard,
+    around: EnvironmentGuard,
+    seen: Any,
+    view: View | None,
+    watch: Watch,
 ) -> int:
     # Returns the number of steps.
     env, policy = outer.unwrapped, made.policy
@@ -171,7 +184,9 @@ def _drive_beside(
     env.controlled_vehicles = [ego]
     env.define_spaces()
     env.observation_type.observe = lambda: 0.0
-    if type(env).__module__.startswith("highway_env."):  # nothing reads its rewards, which may need an action
+    if type(env).__module__.startswith(
+        "highway_env."
+    ):  # nothing reads its rewards, which may need an action
         env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:
@@ -186,7 +201,12 @@ def _drive_beside(
 
 
 def _connect_planner(
-    env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, errors: list[AdsError]
+    env: Any,
+    made: Ads,
+    seed: int,
+    guard: HangGuard,
+    around: EnvironmentGuard,
+    errors: list[AdsError],
 ) -> Callable[..., None]:
     # The planner sees the vehicles that exist at the start. After an error of the planner, its car keeps its controls
     # until the end of the step.
@@ -202,15 +222,22 @@ def _connect_planner(
     record = array("d", bytes(8 * row * math.ceil((_duration(env) + 2) * hz)))
     exact = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
     sensor: Sensor = exact if made.sight is None else ImperfectSensor(exact, made.sight, seed)
-    body, lanes = Body(ego.LENGTH, ego.WIDTH), {"lanes": road.lane_count, "lane_width": road.lane_width}
-    driver = PlannerDriver(made.decides, guard, (), body, body, sensor, dt=1 / hz, every=every, **lanes)
+    body, lanes = (
+        Body(ego.LENGTH, ego.WIDTH),
+        {"lanes": road.lane_count, "lane_width": road.lane_width},
+    )
+    driver = PlannerDriver(
+        made.decides, guard, (), body, body, sensor, dt=1 / hz, every=every, **lanes
+    )
     ticks = itertools.count()
 
     def plan(action: None = None) -> None:
         tick = next(ticks)
         for number, each in enumerate(vehicles):
             at = tick * row + number * COLUMNS
-            pose = road.project(float(each.position[0]), float(each.position[1]), float(each.heading))
+            pose = road.project(
+                float(each.position[0]), float(each.position[1]), float(each.heading)
+            )
             held = each.action["acceleration"], each.action["steering"]
             record[at : at + 6] = array("d", (*pose, each.speed, *held))
         body.place(*record[tick * row : tick * row + 4])

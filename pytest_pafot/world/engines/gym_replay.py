@@ -38,9 +38,29 @@ from pytest_pafot.world.driving.environment import (
 )
 from pytest_pafot.world.driving.policy import Ads, Policy, Unseeing
 from pytest_pafot.world.driving.vehicles import StockVehicle, Traffic, TrafficClass, is_regulated
-from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, planner_driver, vehicle_of
-from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, closing, error_of, let_through
+from pytest_pafot.world.engines.policies import (
+    give_speeds,
+    put_ego,
+    put_policys_ego,
+    showing,
+    usual_class,
+)
+from pytest_pafot.world.engines.run import (
+    OwnEnds,
+    VehiclesOfRun,
+    built_as,
+    planner_driver,
+    vehicle_of,
+)
+from pytest_pafot.world.guard.hang_guard import (
+    UNFIT,
+    AdsHang,
+    HangGuard,
+    WorldHang,
+    closing,
+    error_of,
+    let_through,
+)
 from pytest_pafot.world.gym_environment import (
     ENDS,
     EnvironmentGuard,
@@ -93,7 +113,9 @@ class StockPolicy(GuardedDriver):
         if isinstance(ads, Unseeing):
             hide(outer.unwrapped, ads.npc)
 
-    def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> None:
+    def begin(
+        self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]
+    ) -> None:
         """Reset the environment for its first observation, but keep all vehicles at the scenario's start positions.
 
         Raises:
@@ -123,7 +145,9 @@ class StockPolicy(GuardedDriver):
         # An exception of a wrapper is raised again in the next decision.
         try:
             self._seen, *others = result = call()
-            self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only one more value, the info
+            self.is_over = len(others) != 1 and _has_ended(
+                result
+            )  # a reset returns only one more value, the info
         except UNFIT as error:
             if self.outer is self.outer.unwrapped or isinstance(error, AdsHang):
                 raise
@@ -134,7 +158,9 @@ class StockPolicy(GuardedDriver):
         self.outer.unwrapped.vehicle.act()
 
 
-def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> tuple[Any, ...]:
+def _reset_in_place(
+    outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]
+) -> tuple[Any, ...]:
     """Reset an environment and its wrappers without moving any vehicle, and return the result.
 
     ``objects`` are the objects that :func:`_reset` returned. ``hold`` prevents code from moving NPCs. It is called
@@ -144,11 +170,17 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
 
     # highway-env's `_reset` would make new vehicles, so this function replaces it.
     def in_place_of_the_reset() -> None:
-        plain.road.objects = list(objects)  # a copy, because the environment's own `reset` may add objects
-        if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
+        plain.road.objects = list(
+            objects
+        )  # a copy, because the environment's own `reset` may add objects
+        if type(plain.vehicle) is usual_class(
+            plain.action_type
+        ):  # a reset may have drawn the speeds
             give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
 
-    def in_place_of_highway_envs(options: Mapping[str, Any] | None = None, **_: Any) -> tuple[Any, dict[str, Any]]:
+    def in_place_of_highway_envs(
+        options: Mapping[str, Any] | None = None, **_: Any
+    ) -> tuple[Any, dict[str, Any]]:
         result = _reset_result(plain, seed, options)
         hold()
         return result
@@ -168,7 +200,9 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callabl
     return result
 
 
-def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
+def _reset_result(
+    env: Any, seed: int, options: Mapping[str, Any] | None
+) -> tuple[Any, dict[str, Any]]:
     # Return the result of highway-env's own `reset`, with the configuration that wrappers have set.
     env.configure((options or {}).get("config"))
     env.define_spaces()
@@ -188,23 +222,36 @@ def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
         "simulation_frequency": rules.physics_hz,
         "policy_frequency": rules.ads_hz,
         "action": {"type": "ContinuousAction"},
-        "observation": {"type": "AttributesObservation", "attributes": ()},  # unused, so this is the fastest type
+        "observation": {
+            "type": "AttributesObservation",
+            "attributes": (),
+        },  # unused, so this is the fastest type
     }
     env, _ = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
-    env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
+    env.road.network = RoadNetwork.straight_road_network(
+        lanes, length=lane.length, speed_limit=lane.speed_limit
+    )
     ads = policy.make()
     with closing(ads.given, rules.hang_limit):
         return _si_run(rules, scenario, env, ads)
 
 
 def replay_environment(
-    environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy, *, is_planner: bool
+    environment: GymEnvironment,
+    rules: Rules,
+    scenario: Scenario,
+    policy: Policy,
+    *,
+    is_planner: bool,
 ) -> Trace:
     """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment."""
     outer, route = environment.make(), environment.route
     env, objects = _reset(outer, scenario, environment)
     # A policy needs an ego of the environment. A planner that simulates also needs a second environment.
-    view, traffic = None, environment.traffic if rules.ends or not (is_planner or policy.drives_itself) else None
+    view, traffic = (
+        None,
+        environment.traffic if rules.ends or not (is_planner or policy.drives_itself) else None,
+    )
     if not (is_planner or policy.drives_itself):
         put_policys_ego(environment, env, rules, scenario)
     if policy.simulates:
@@ -227,19 +274,25 @@ def replay_environment(
             HangGuard(rules.hang_limit),
         )
         driver = StockPolicy(ads.policy, seen, ego, rules.every, guard, view)
-        limit = environment.step_limit if environment.wrappers is None else None  # any wrappers count the steps
+        limit = (
+            environment.step_limit if environment.wrappers is None else None
+        )  # any wrappers count the steps
         vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
         return _Loop(vehicles, env, driver, guard, traffic, objects, limit).run()
 
 
-def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = None) -> tuple[Any, list[Any]]:
+def _reset(
+    outer: Any, scenario: Scenario, environment: GymEnvironment | None = None
+) -> tuple[Any, list[Any]]:
     """Reset an environment, disable the methods that add traffic later, and return it without wrappers.
 
     The second return value is the list of objects that the reset has put on the road.
     """
     env = outer.unwrapped
     if environment is not None:
-        env.config |= copy.deepcopy(environment.config_of_wrappers)  # because this reset makes the road
+        env.config |= copy.deepcopy(
+            environment.config_of_wrappers
+        )  # because this reset makes the road
     objects, put = list[Any](), env._reset
 
     def noting_objects() -> None:
@@ -269,7 +322,9 @@ def _si_run(
     # rest, and some environments compute rewards only for their own egos, so both are disabled.
     guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
-    env.config["policy_frequency"] = env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
+    env.config["policy_frequency"] = (
+        env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
+    )
     ego_class = built_as(rules.ego, ads.given if ads.drives_itself else StockVehicle)
     put_ego(env, vehicle_of(ego_class, env.road, start, rules.ego_speed(scenario), route))
     ego = body_of(env.vehicle)
@@ -341,7 +396,9 @@ class EpisodeEnds(OwnEnds):
         else:
             if loop.tick == self.asked:  # a user's step that simulates nothing
                 self._simulate()
-            if not self.has_failed:  # keep the name of a method that ended it, unless a wrapper continues
+            if (
+                not self.has_failed
+            ):  # keep the name of a method that ended it, unless a wrapper continues
                 self.ended = (self.ended or end_of(self._outer)) if is_over else ""
         return self._error
 
@@ -361,7 +418,11 @@ class EpisodeEnds(OwnEnds):
 
 
 def episode_beside(
-    environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+    environment: GymEnvironment,
+    rules: Rules,
+    scenario: Scenario,
+    vehicles: VehiclesOfRun,
+    guard: HangGuard,
 ) -> EpisodeEnds:
     """Return the ``EpisodeEnds`` of a wrapped environment for an ego that does not belong to the environment."""
     outer = environment.make()
@@ -377,7 +438,11 @@ def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
     """
 
     def method(asked: Any, *given: Any, **named: Any) -> Any:
-        return call(*given, **named) if asked is env else getattr(type(asked), name)(asked, *given, **named)
+        return (
+            call(*given, **named)
+            if asked is env
+            else getattr(type(asked), name)(asked, *given, **named)
+        )
 
     setattr(env, name, MethodType(method, env))
 
@@ -395,7 +460,9 @@ def _has_ended(result: Sequence[Any]) -> bool:
 def end_of(outer: Any) -> str:
     """Return the name of the step limit, wrappers or ``step`` that ended an episode, if no other method did."""
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
-    passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
+    passed = [
+        each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps
+    ]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
     return f"max_episode_steps={passed[0]}" if passed else said
 
@@ -417,7 +484,13 @@ class _Loop:
         objects: Sequence[Any] = (),
         step_limit: int | None = None,
     ) -> None:
-        self._env, self._driver, self._guard, self._run, self._objects = env, driver, guard, vehicles, objects
+        self._env, self._driver, self._guard, self._run, self._objects = (
+            env,
+            driver,
+            guard,
+            vehicles,
+            objects,
+        )
         self._around = EnvironmentGuard(vehicles.rules.hang_limit)
         self._hz = vehicles.rules.ads_hz
         self._step_limit = step_limit
@@ -446,7 +519,9 @@ class _Loop:
             is_episode = isinstance(driver, StockPolicy)
             self._ends = OwnEnds(env, ENDS if is_episode else ends, vehicles.rules, guard)
             for name in ENDS:
-                stand_in(env, name, partial(self._says, self._ends, name) if is_episode else _nothing)
+                stand_in(
+                    env, name, partial(self._says, self._ends, name) if is_episode else _nothing
+                )
         self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
@@ -469,7 +544,11 @@ class _Loop:
             return trace
         trace = replace(trace, ads_hz=self._hz)
         # A wrapper or the environment's own step may have repeated actions.
-        return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
+        return (
+            trace
+            if self._asked == list(trace.decision_ticks)
+            else replace(trace, decided=tuple(self._asked))
+        )
 
     def _says(self, ends: OwnEnds, name: str) -> bool:
         # A method also reports the end of the run. Otherwise, a wrapper that steps until the end of the episode would
@@ -479,7 +558,9 @@ class _Loop:
     def _drive(self) -> None:
         driver, loop, around = self._driver, self._run.loop, self._around
         if isinstance(driver, StockPolicy):
-            hold = partial(self._make_npcs, "held")  # some environments slow their traffic down in `reset`
+            hold = partial(
+                self._make_npcs, "held"
+            )  # some environments slow their traffic down in `reset`
             driver.begin(around, self._run.scenario.seed, self._objects, hold)
             self._make_npcs("seen")
             self._hz = self._rate()
@@ -518,7 +599,10 @@ class _Loop:
             elif not driver.is_over and not ends.has_failed:  # a wrapper continues
                 ends.ended = ""
         elif run.loop.tick % ends.every == 0:
-            road, self._env.road.vehicles = self._env.road, [self._env.vehicle, *self._traffic.vehicles]
+            road, self._env.road.vehicles = (
+                self._env.road,
+                [self._env.vehicle, *self._traffic.vehicles],
+            )
             self._traffic.show()
             ends.ask(run.loop.tick)
             road.vehicles = list(self._vehicles)
@@ -531,7 +615,10 @@ class _Loop:
         if received != ticks:
             fix = "set the same value in every reset"
             raise WorldError(
-                field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
+                field=name,
+                expected=f"{ticks}, as after a reset with seed 0",
+                received=f"{received!r:.100}",
+                fix=fix,
             )
         hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
         check_divides((name, int(ticks)), ("config.policy_frequency", hz))
@@ -551,10 +638,13 @@ class _Loop:
         # A `reset` or `step` of the environment may add or remove vehicles, or move the NPCs.
         found, known = list(self._env.road.vehicles), self._vehicles
         added, removed = (
-            [each for each in a if all(each is not one for one in b)] for a, b in ((found, known), (known, found))
+            [each for each in a if all(each is not one for one in b)]
+            for a, b in ((found, known), (known, found))
         )
         changes = [
-            f"{word} {plural(len(each), 'vehicle')}" for word, each in (("adds", added), ("removes", removed)) if each
+            f"{word} {plural(len(each), 'vehicle')}"
+            for word, each in (("adds", added), ("removes", removed))
+            if each
         ]
         if self._env.vehicle is not known[0]:
             changes.append("replaces the ego")
@@ -579,7 +669,9 @@ class _Loop:
 
     def _moved_npc(self) -> str:
         """Describe how the environment has moved an NPC since the last tick, or return an empty string."""
-        for number, (vehicle, body) in enumerate(zip(self._vehicles[1:], self._bodies[1:], strict=True)):
+        for number, (vehicle, body) in enumerate(
+            zip(self._vehicles[1:], self._bodies[1:], strict=True)
+        ):
             if vehicle.speed != body.speed:
                 return f"sets the speed of NPC {number} from {body.speed:.1f} to {vehicle.speed:.1f} m/s"
             if (*vehicle.position, vehicle.heading) != (body.x, body.y, body.heading):
@@ -612,7 +704,9 @@ class _Loop:
             driver.actuate()
             if isinstance(driver, PlannerDriver):
                 vehicle.control(ego.acceleration, ego.steering)
-            if self._road_act is not None:  # the ego has acted, and a user's class may act only once
+            if (
+                self._road_act is not None
+            ):  # the ego has acted, and a user's class may act only once
                 act = vehicle.act
                 vehicle.act = lambda action=None: None if action is None else act(action)
                 self._road_act()
@@ -636,7 +730,9 @@ class _Loop:
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
                 follow(body, vehicle)
         except UNFIT as error:
-            if isinstance(error, AdsHang) and self._around.interruption is not None:  # it interrupts the whole step
+            if (
+                isinstance(error, AdsHang) and self._around.interruption is not None
+            ):  # it interrupts the whole step
                 raise
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed
@@ -658,4 +754,9 @@ class _Loop:
     @property
     def _is_over(self) -> bool:
         loop = self._run.loop
-        return loop.is_over or loop.tick == self._last or self._error is not None or bool(self._run.ended)
+        return (
+            loop.is_over
+            or loop.tick == self._last
+            or self._error is not None
+            or bool(self._run.ended)
+        )

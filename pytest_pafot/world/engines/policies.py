@@ -18,9 +18,21 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.environment import ModelPolicyDriver, ObjectDriver, PolicyDriver, View, copies_on
+from pytest_pafot.world.driving.environment import (
+    ModelPolicyDriver,
+    ObjectDriver,
+    PolicyDriver,
+    View,
+    copies_on,
+)
 from pytest_pafot.world.driving.policy import Policy, idm_model
-from pytest_pafot.world.driving.vehicles import CompiledRoad, EgosRegulatedRoad, Traffic, egos_rules, obstacles_on
+from pytest_pafot.world.driving.vehicles import (
+    CompiledRoad,
+    EgosRegulatedRoad,
+    Traffic,
+    egos_rules,
+    obstacles_on,
+)
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, vehicle_of
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
@@ -32,7 +44,15 @@ from pytest_pafot.world.stock import MDPVehicle, Vehicle
 # The attributes with which highway-env's classes and roads control vehicles.
 OF_HIGHWAY_ENV = frozenset(
     (
-        *("route", "target_lane_index", "target_speed", "target_speeds", "speed_index", "enable_lane_change", "timer"),
+        *(
+            "route",
+            "target_lane_index",
+            "target_speed",
+            "target_speeds",
+            "speed_index",
+            "enable_lane_change",
+            "timer",
+        ),
         *("collecting_data", "data", "is_yielding", "yield_timer"),
     )
 )
@@ -66,28 +86,43 @@ def rollout(
             given = built_as(rules.ego, ads.given)
             ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
             # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
-            has_more = isinstance(lanes, StraightRoad) and (env.road.objects or isinstance(env.road, EgosRegulatedRoad))
+            has_more = isinstance(lanes, StraightRoad) and (
+                env.road.objects or isinstance(env.road, EgosRegulatedRoad)
+            )
             if idm_model(given) is None or lanes is None or has_more:
                 if rules.ends:
                     put_ego(env, ego)
-                return _run_driver(environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
+                return _run_driver(
+                    environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends
+                )
             # The kernel drives an IDM on lanes that it supports.
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
+            model_driver = ModelDriver(
+                model, others, egos_rules(env.road, model, vehicles.places, rules, lanes)
+            )
             return vehicles.drive(model_driver, guard, own_ends(rules, scenario, vehicles, guard))
         every = rules.every
-        is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
+        is_known = (
+            type(env.vehicle) in (MDPVehicle, Vehicle)
+            and getattr(env.action_type, "speed_range", None) is None
+        )
         if is_known and lanes is not None:  # the kernel moves the ego
-            driver: PolicyDriver = ModelPolicyDriver(ads.policy, env, guard, every, environment.traffic, view, lanes)
+            driver: PolicyDriver = ModelPolicyDriver(
+                ads.policy, env, guard, every, environment.traffic, view, lanes
+            )
         else:
             driver = PolicyDriver(ads.policy, env, guard, every, environment.traffic, view)
         return _run_driver(environment, rules, scenario, driver, env)
 
 
 def ends_beside(
-    environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+    environment: GymEnvironment,
+    rules: Rules,
+    scenario: Scenario,
+    vehicles: VehiclesOfRun,
+    guard: HangGuard,
 ) -> OwnEnds | None:
     """Return an environment's ``OwnEnds`` for an ego that does not belong to it, or None if it cannot end runs."""
     if not rules.ends:
@@ -150,7 +185,9 @@ def put_ego(env: Any, ego: Any) -> None:
     env.define_spaces()
 
 
-def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
+def put_policys_ego(
+    environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario
+) -> None:
     """Put a policy's ego, with the same class as the ego that the reset created, into an environment.
 
     Raises:
@@ -159,7 +196,12 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     own, vehicle_class = env.vehicle, env.action_type.vehicle_class
     start, speed = rules.ego_position(scenario), rules.ego_speed(scenario)
     if type(own) is usual_class(env.action_type):
-        put_ego(env, vehicle_of(built_as(rules.ego, vehicle_class), env.road, start, speed, environment.route))
+        put_ego(
+            env,
+            vehicle_of(
+                built_as(rules.ego, vehicle_class), env.road, start, speed, environment.route
+            ),
+        )
         return
     signature = inspect.signature(type(own))
     try:
@@ -177,7 +219,11 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     plain, same = (vehicle_of(cls, env.road, *there, None) for cls in (Vehicle, type(own)))
     for name, value in vars(own).items():
         is_known = name in OF_HIGHWAY_ENV or name in vars(plain)
-        if not is_known and isinstance(value, PLAIN) and repr(value) != repr(getattr(same, name, None)):
+        if (
+            not is_known
+            and isinstance(value, PLAIN)
+            and repr(value) != repr(getattr(same, name, None))
+        ):
             setattr(ego, name, copy.deepcopy(value))
     put_ego(env, ego)
 
@@ -192,10 +238,16 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     env.config = dict(env.config)
     if environment.own_state:
         first = environment.unwrapped
-        there = [(first, env), (first.road, env.road), *zip(first.road.objects, env.road.objects, strict=True)]
+        there = [
+            (first, env),
+            (first.road, env.road),
+            *zip(first.road.objects, env.road.objects, strict=True),
+        ]
         # The ego of the reset is not copied, because `put_ego` looks for it.
         known = {id(old): new for old, new in [*there, (first.vehicle, first.vehicle)]}
-        vars(env).update(copy.deepcopy({name: vars(first)[name] for name in environment.own_state}, known))
+        vars(env).update(
+            copy.deepcopy({name: vars(first)[name] for name in environment.own_state}, known)
+        )
     return env
 
 
@@ -207,7 +259,11 @@ def usual_class(action_type: Any) -> Any:
 
 def give_speeds(ego: Any, speeds: Any) -> None:
     """Set the target speeds of an ego that chooses between several speeds, as highway-env does."""
-    if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
+    if (
+        isinstance(ego, MDPVehicle)
+        and speeds is not None
+        and not np.array_equal(ego.target_speeds, speeds)
+    ):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)
         ego.target_speed = ego.index_to_speed(ego.speed_index)

@@ -48,7 +48,9 @@ class VehiclesOfRun:
     # Checks the vehicles that a user's code moves; None if there is no such code.
     plausibility: Plausibility | None = None
 
-    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]) -> None:
+    def __init__(
+        self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]
+    ) -> None:
         # The director knows where NPCs start. On a road that does not start at the origin, it moves NPCs in coordinates
         # of the road, and a second body of each NPC has world coordinates.
         self.rules = rules
@@ -57,13 +59,17 @@ class VehiclesOfRun:
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
         is_apart = not road.starts_at_origin
-        npcs: list[Body] = [Body(npc.length, npc.width) if is_apart else npc for npc in director.npcs]
+        npcs: list[Body] = [
+            Body(npc.length, npc.width) if is_apart else npc for npc in director.npcs
+        ]
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         self.vehicles = [ego, *npcs]
         # `places` maps vehicles to the road. Its obstacles must not overlap with the ego.
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
-        self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road)
+        self.places = road.places(
+            self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road
+        )
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
             if overlap(ego, box):  # the ego is longer than in the rules
@@ -140,7 +146,10 @@ class VehiclesOfRun:
         before, ego = self._boxes(states[max(tick - 1, 0)]), states[-1, 0]
         if not touching:
             # The ego has hit a fixed object. Take the object with the largest overlap.
-            speed, objects = float(ego[SPEED]), [each for each in self.places.obstacles if overlap(now[0], each)]
+            speed, objects = (
+                float(ego[SPEED]),
+                [each for each in self.places.obstacles if overlap(now[0], each)],
+            )
             return Collision(
                 tick=tick,
                 time=tick / self.rules.physics_hz,
@@ -155,7 +164,9 @@ class VehiclesOfRun:
         other = states[-1, npc + 1]
         positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
         both = states[-1, [0, npc + 1]]
-        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # a vehicle with turned wheels slips
+        course = both[:, HEADING] + np.arctan(
+            0.5 * np.tan(both[:, STEERING])
+        )  # a vehicle with turned wheels slips
         velocity = both[:, SPEED] * np.array([np.cos(course), np.sin(course)])
         return Collision(
             tick=tick,
@@ -180,7 +191,10 @@ class VehiclesOfRun:
 
     def _boxes(self, row: FloatArray) -> list[Box]:
         poses = row[:, :3].tolist()
-        return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
+        return [
+            Box(x, y, heading, *size)
+            for (x, y, heading), size in zip(poses, self.sizes, strict=True)
+        ]
 
     def drive(self, driver: EgoDriver, guard: HangGuard, ends: OwnEnds | None = None) -> Trace:
         """Run to the end under the guard, and return the trace. ``ends`` can end the run early."""
@@ -189,7 +203,11 @@ class VehiclesOfRun:
             with guard:
                 error = None
                 try:
-                    error = self.loop.run(driver, ticks) if ends is None else self._run_to_ends(driver, ticks, ends)
+                    error = (
+                        self.loop.run(driver, ticks)
+                        if ends is None
+                        else self._run_to_ends(driver, ticks, ends)
+                    )
                 except Implausible as fault:
                     self.ended, self.has_failed = str(fault), True
                 return self.trace(driver, error)
@@ -215,7 +233,12 @@ class OwnEnds:
     """
 
     def __init__(
-        self, env: Any, names: Sequence[str], rules: Rules, guard: HangGuard, show: Callable[[], None] | None = None
+        self,
+        env: Any,
+        names: Sequence[str],
+        rules: Rules,
+        guard: HangGuard,
+        show: Callable[[], None] | None = None,
     ) -> None:
         self.every = rules.step_ticks  # the ticks of a step of the environment
         # The method that has ended the run (with its error), whether it raised one, and the tick of the last calls.
@@ -248,12 +271,17 @@ class OwnEnds:
         # If the method raises an error, this also ends the run.
         method = _method_name(self._env, name, self._methods[name])
         config = self._env.config
-        longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
+        longest = (
+            {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
+        )
         try:
             with self._guard.decision(), _options(config, **longest):
                 is_over = bool(self._methods[name]())
         except UNFIT as error:
-            self.ended, self.has_failed = f"{method} failed: {error_of(error, self.asked, self._guard).text}", True
+            self.ended, self.has_failed = (
+                f"{method} failed: {error_of(error, self.asked, self._guard).text}",
+                True,
+            )
             return True
         if is_over:
             self.ended = self.ended or method
@@ -318,17 +346,29 @@ def planner_driver(
     rates = rules.physics_hz, rules.every
     sensor = road.sensor(vehicles.places, vehicles.rows, scenario, rates, sight, rules.ego)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
-    common |= {"every": rules.every, "dt": 1 / rules.physics_hz, "kind": rules.ego if rules.ego.has_limits else None}
+    common |= {
+        "every": rules.every,
+        "dt": 1 / rules.physics_hz,
+        "kind": rules.ego if rules.ego.has_limits else None,
+    }
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]
     return PlannerDriver(ads, guard, decisions, ego, place, sensor, **common)
 
 
 def vehicle_run(
-    rules: Rules, scenario: Scenario, road: StraightRoad, network: Callable[[], Any], vehicle_class: Any
+    rules: Rules,
+    scenario: Scenario,
+    road: StraightRoad,
+    network: Callable[[], Any],
+    vehicle_class: Any,
 ) -> Trace:
     """Run a highway-env vehicle class on a straight road that starts at the origin."""
     vehicle_class = built_as(rules.ego, vehicle_class)
-    guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
+    guard, start, model = (
+        HangGuard(rules.hang_limit),
+        rules.ego_position(scenario),
+        idm_model(vehicle_class),
+    )
 
     def stock_road() -> Any:
         from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
@@ -343,7 +383,9 @@ def vehicle_run(
     from pytest_pafot.world.driving.environment import ObjectDriver  # noqa: PLC0415  (a second of imports)
 
     on = stock_road()
-    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard)
+    driver = ObjectDriver(
+        vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard
+    )
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: on)
     driver.show(vehicles.places, road)
     return vehicles.drive(driver, guard)
@@ -374,14 +416,22 @@ def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
         wanted = self.action["acceleration"], self.action["steering"]
         self.action["acceleration"], self.action["steering"] = kind.limited(*wanted, self.speed)
 
-    namespace: dict[str, Any] = {"LENGTH": size[0], "WIDTH": size[1], "__module__": vehicle_class.__module__}
+    namespace: dict[str, Any] = {
+        "LENGTH": size[0],
+        "WIDTH": size[1],
+        "__module__": vehicle_class.__module__,
+    }
     if kind.has_limits:  # without limits, the class only sets constants, so the kernel can drive it
         namespace["clip_actions"] = clip_actions
     return type(vehicle_class)(vehicle_class.__name__, (vehicle_class,), namespace)
 
 
 def vehicle_of(
-    vehicle_class: Any, road: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
+    vehicle_class: Any,
+    road: Any,
+    start: tuple[float, float, float],
+    speed: float,
+    route: Sequence[Any] | None,
 ) -> Any:
     """Create an ego on a highway-env road at x [m], y [m], heading [rad] and speed [m/s]."""
     x, y, heading = start

@@ -201,7 +201,9 @@ class Simulator(ABC):
 class Frame:
     """The units and axes of a simulator, and the origin of its straight road: x [m], y [m] and heading [rad]."""
 
-    def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    def __init__(
+        self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> None:
         self.origin = origin
         self.side = -1.0 if simulator.y_is_left else 1.0
         # Headings and steering angles change their sign with y.
@@ -210,7 +212,10 @@ class Frame:
         self.angle = math.pi / 180 if simulator.degrees else 1.0
         self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
         # The point of reference is a fraction of the length ahead of the centre, or a distance behind it.
-        self._share, self._behind = 0.5 * (simulator.reference == "front"), simulator.rear_axle_offset or 0.0
+        self._share, self._behind = (
+            0.5 * (simulator.reference == "front"),
+            simulator.rear_axle_offset or 0.0,
+        )
         x, y, heading = origin
         self._x, self._y, self._heading = x, y, heading
         self._cos, self._sin = math.cos(heading), math.sin(heading)
@@ -220,7 +225,9 @@ class Frame:
         dx, dy = x * self.metres - self._x, self.side * y * self.metres - self._y
         return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
 
-    def state(self, row: Sequence[float], length: float, near: float) -> tuple[float, float, float, float]:
+    def state(
+        self, row: Sequence[float], length: float, near: float
+    ) -> tuple[float, float, float, float]:
         """Convert a row of the simulator's states to a run's x [m], y [m], heading [rad] and speed [m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
@@ -259,7 +266,9 @@ class RepeatedBody(Body):
     def step(self, dt: float) -> None:
         driver = self.repeats
         if driver is not None and self._tick < self._until:
-            self.steering = self._steering  # of the last decision; the driver that takes over has changed it
+            self.steering = (
+                self._steering
+            )  # of the last decision; the driver that takes over has changed it
             if self._tick % driver.every == 0:
                 driver.decide(self._tick)
             driver.actuate()
@@ -287,14 +296,25 @@ class NativeDriver(PlannerDriver):
     """The driver of an ego with a native policy, which receives a simulator's observations and returns its actions."""
 
     def __init__(
-        self, vehicles: VehiclesOfRun, ads: Any, guard: HangGuard, decisions: Sequence[Any], every: int
+        self,
+        vehicles: VehiclesOfRun,
+        ads: Any,
+        guard: HangGuard,
+        decisions: Sequence[Any],
+        every: int,
     ) -> None:
         self._loop, self._checked_before, self._observed = vehicles.loop, decisions, Observed()
         self._action: Any = None
         self._hidden = ads.npc if isinstance(ads, Unseeing) else None
         check_by(ads, self._check_action)
-        ego, place, dt = vehicles.vehicles[0], vehicles.places.bodies[0], 1 / vehicles.rules.physics_hz
-        super().__init__(ads, guard, (), ego, place, self._observed, lanes=0, lane_width=0.0, every=every, dt=dt)
+        ego, place, dt = (
+            vehicles.vehicles[0],
+            vehicles.places.bodies[0],
+            1 / vehicles.rules.physics_hz,
+        )
+        super().__init__(
+            ads, guard, (), ego, place, self._observed, lanes=0, lane_width=0.0, every=every, dt=dt
+        )
 
     def decide(self, tick: int) -> AdsError | None:
         # An exception of the simulator is not an error of the policy.
@@ -321,7 +341,9 @@ class NativeDriver(PlannerDriver):
     def _check_action(self, action: Any) -> Any:
         simulator = self._loop.simulation.simulator
         try:
-            Simulator.check_action(simulator, action)  # rejects None, even if the user's method does not
+            Simulator.check_action(
+                simulator, action
+            )  # rejects None, even if the user's method does not
             checked = simulator.check_action(action)
         except ValueError as error:
             raise BadAction(str(error)) from error
@@ -337,7 +359,9 @@ class NativeDriver(PlannerDriver):
         if self._action is None:
             place = f"{type(simulation.simulator).__name__}.check_action"
             fix = "is a `return` missing?"
-            raise WorldError(field=place, expected="the method to return the action", received="None", fix=fix)
+            raise WorldError(
+                field=place, expected="the method to return the action", received="None", fix=fix
+            )
         simulation.action = self._action
         self.ego.acceleration = self.ego.steering = 0.0
 
@@ -346,7 +370,12 @@ class Simulation:
     """One run in a simulator."""
 
     def __init__(
-        self, simulators: Simulators, frame: Frame, vehicles: VehiclesOfRun, seed: int, guard: HangGuard
+        self,
+        simulators: Simulators,
+        frame: Frame,
+        vehicles: VehiclesOfRun,
+        seed: int,
+        guard: HangGuard,
     ) -> None:
         self._simulators = simulators
         self._frame = frame
@@ -392,7 +421,11 @@ class Simulation:
         """
         frame, bodies = self._frame, self._bodies
         controls = [
-            Control(body.acceleration / frame.speed, frame.turn * body.steering / frame.angle, *frame.stated(body))
+            Control(
+                body.acceleration / frame.speed,
+                frame.turn * body.steering / frame.angle,
+                *frame.stated(body),
+            )
             for body in bodies
         ]
         if self.action is not None:
@@ -426,7 +459,11 @@ class Simulation:
     def observe(self, hidden: int | None = None) -> Any:
         self._is_sound = False
         with self._called("observe"):
-            seen = self.simulator.observe() if hidden is None else self.simulator.observe(hidden=hidden)
+            seen = (
+                self.simulator.observe()
+                if hidden is None
+                else self.simulator.observe(hidden=hidden)
+            )
         self._is_sound = True
         return seen
 
@@ -445,12 +482,17 @@ class Simulation:
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
             received = f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}"
-            raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
+            raise WorldError(
+                field=self._place("states"), expected="finite numbers", received=received
+            )
         stated: list[list[float]] = rows.tolist()
         return stated
 
     def _in_run(self, rows: Any) -> list[tuple[float, float, float, float]]:
-        return [self._frame.state(row, body.length, body.heading) for row, body in zip(rows, self._bodies, strict=True)]
+        return [
+            self._frame.state(row, body.length, body.heading)
+            for row, body in zip(rows, self._bodies, strict=True)
+        ]
 
     def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
         for number in numbers:
@@ -466,13 +508,20 @@ class Simulation:
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
                     fix += f". In this run, start received {received}, and states returned {states_has}"
-                raise WorldError(field=place, expected=expected, received=f"{value:.2f} {unit}", fix=f"{fix}. {CAUSE}")
+                raise WorldError(
+                    field=place,
+                    expected=expected,
+                    received=f"{value:.2f} {unit}",
+                    fix=f"{fix}. {CAUSE}",
+                )
 
     def _check_way(self, rows: list[list[float]]) -> None:
         # In the first tick, vehicles must move in the direction of their headings, as far as their speeds imply.
         dt = 1.0 / self._hz
         starts, ends = self._in_run(self._rows), self._in_run(rows)
-        for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
+        for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(
+            zip(starts, ends, strict=True)
+        ):
             way = (to_x - x, to_y - y)
             wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
             # Turned wheels may turn the direction by the slip of the bicycle model.
@@ -481,10 +530,17 @@ class Simulation:
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
             expected = f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
-            turned = abs((math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1])) + 180.0) % 360.0 - 180.0)
-            received = f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees off that direction"
+            turned = abs(
+                (math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1])) + 180.0) % 360.0
+                - 180.0
+            )
+            received = (
+                f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees off that direction"
+            )
             fix = f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}"
-            raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
+            raise WorldError(
+                field=self._place("states"), expected=expected, received=received, fix=fix
+            )
 
     def _place(self, method: str) -> str:
         return f"{type(self.simulator).__name__}.{method}, tick {self._tick}"
@@ -504,7 +560,9 @@ class Simulation:
             guard.raise_swallowed()
         except AdsHang:
             expected, fix = f"a return within {most:g} s", "increase the world's hang_limit"
-            raise WorldError(field=self._place(method), expected=expected, received="none", fix=fix) from None
+            raise WorldError(
+                field=self._place(method), expected=expected, received="none", fix=fix
+            ) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
             raise
@@ -527,11 +585,15 @@ class Simulators:
         self._free: list[Any] = []
         if is_first:
             atexit.register(self.close_all)
-            if parent_process() is not None:  # multiprocessing ends its processes without calling atexit functions
+            if (
+                parent_process() is not None
+            ):  # multiprocessing ends its processes without calling atexit functions
                 Finalize(None, self.close_all, exitpriority=0)
         self._all.add(self)
 
-    def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
+    def __del__(
+        self,
+    ) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
         if self._free:  # at the interpreter's end, all are closed, and _close is gone
             _close(self._process, self._free)
 
@@ -540,7 +602,9 @@ class Simulators:
         return Simulators, (self._make,)
 
     def take(self) -> Any:
-        if self._process != getpid():  # the other process still uses its simulators, so they are not closed
+        if (
+            self._process != getpid()
+        ):  # the other process still uses its simulators, so they are not closed
             self.__init__(self._make)  # type: ignore[misc]
         if self._free:
             return self._free.pop()
@@ -572,4 +636,6 @@ def _close(process: int, simulators: list[Any]) -> None:
 
 
 def _shown(values: Sequence[Any]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False))
+    return ", ".join(
+        f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False)
+    )

@@ -58,7 +58,10 @@ OF_NUMPY = _Generator(
 @cache
 def _of_torch(torch: Any) -> _Generator:
     def state() -> Any:
-        return torch.get_rng_state(), torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else None
+        return (
+            torch.get_rng_state(),
+            torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else None,
+        )
 
     def give_back(states: Any) -> None:
         torch.set_rng_state(states[0])
@@ -69,7 +72,9 @@ def _of_torch(torch: Any) -> _Generator:
         own = torch.Generator().manual_seed(seed)
         return lambda: float(torch.rand((), generator=own))
 
-    return _Generator(state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded)
+    return _Generator(
+        state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded
+    )
 
 
 # With this value of `sys.tracebacklimit`, `traceback` reads no frames of a stack.
@@ -116,7 +121,9 @@ class _Generators:
     def begin(self) -> None:
         """Forget the saved states and the results of earlier runs."""
         self._saved: list[tuple[_Generator, Any]] = []
-        self._others: list[Callable[[], float]] = []  # generators with the shared seed; empty if runs share none
+        self._others: list[
+            Callable[[], float]
+        ] = []  # generators with the shared seed; empty if runs share none
         self._may_share = True
 
     @contextmanager
@@ -140,7 +147,13 @@ class _Generators:
             self.begin()
 
     @REPLACED.shown(True)
-    def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
+    def run(
+        self,
+        rollout: Callable[..., Any],
+        scenario: Scenario,
+        factory: Callable[..., Any],
+        **given: Any,
+    ) -> Any:
         """Execute a run with seeded generators, and return a trace that records whether the run drew numbers."""
         __tracebackhide__ = True
         if self._is_running:
@@ -182,7 +195,11 @@ class _Generators:
     def _save(self) -> bool:
         """Save the state of each new generator, and return whether any generator was new."""
         torch = sys.modules.get("torch")  # only if something else has imported it
-        known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
+        known = [
+            OF_PYTHON,
+            OF_NUMPY,
+            *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else []),
+        ]
         new = known[len(self._saved) :]
         self._saved += [(each, each.state()) for each in new]
         return bool(new)
@@ -195,7 +212,10 @@ class _Generators:
         return [generator.seeded(seed) for generator, _ in self._saved]
 
     def _drew(self, others: list[Callable[[], float]]) -> bool:
-        drawn = [generator.draw() != other() for (generator, _), other in zip(self._saved, others, strict=True)]
+        drawn = [
+            generator.draw() != other()
+            for (generator, _), other in zip(self._saved, others, strict=True)
+        ]
         return any(drawn)
 
 

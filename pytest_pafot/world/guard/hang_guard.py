@@ -162,7 +162,9 @@ class HangGuard:
     that never returns to the interpreter, and a policy that catches every interruption.
     """
 
-    def __init__(self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True) -> None:
+    def __init__(
+        self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True
+    ) -> None:
         self.limit = limit
         self.clock = clock
         # No decision starts from this time by the clock [s].
@@ -174,12 +176,17 @@ class HangGuard:
         self.started: float | None = None
         # The exception that was raised in the running decision, or its class.
         self.interruption: BaseException | type[BaseException] | None = None
-        self.silence = limit  # the time for which native code may keep all Python threads from running [s]
+        self.silence = (
+            limit  # the time for which native code may keep all Python threads from running [s]
+        )
         self._sent = False
         self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
         self._target = threading.get_ident()
-        self._by_signal = hasattr(signal, "pthread_kill") and threading.current_thread() is threading.main_thread()
+        self._by_signal = (
+            hasattr(signal, "pthread_kill")
+            and threading.current_thread() is threading.main_thread()
+        )
         self._previous: Any = None
         self._process = one_process()
 
@@ -258,7 +265,9 @@ class HangGuard:
             # The exception must arrive here. If it is cancelled, CPython 3.11 checks for an exception forever, and
             # hangs as soon as a debugger or a coverage tool traces the thread.
             try:
-                for _ in range(100):  # an exception for this thread is raised between two instructions of it
+                for _ in range(
+                    100
+                ):  # an exception for this thread is raised between two instructions of it
                     pass
             except (AdsHang, OutOfTime):
                 return
@@ -276,8 +285,12 @@ class HangGuard:
             else:
                 self._sent = True
                 self.interruption = self.interruption or why
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(why))
-            if why is OutOfTime:  # If an ADS ignores it, the process need not end, because the limit still applies.
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(self._target), ctypes.py_object(why)
+                )
+            if (
+                why is OutOfTime
+            ):  # If an ADS ignores it, the process need not end, because the limit still applies.
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
                 self._ignored = started, now
@@ -290,7 +303,13 @@ class HangGuard:
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
         if started is None:
             return None
-        return AdsHang if now - started > self.limit else OutOfTime if now > self.until + LATE else None
+        return (
+            AdsHang
+            if now - started > self.limit
+            else OutOfTime
+            if now > self.until + LATE
+            else None
+        )
 
     def _received(self, number: int, frame: FrameType | None) -> None:
         now = self.clock()  # before started is read; see `started`
@@ -300,13 +319,17 @@ class HangGuard:
             if isinstance(outer, HangGuard):  # the guard of an environment in which a decision runs
                 outer._received(number, frame)
             return
-        if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:  # the next check comes soon
+        if (
+            frame is not None and frame.f_globals.get("__name__") in SWALLOWING
+        ):  # the next check comes soon
             return
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
             return
         error = why()
-        self.interruption = self.interruption or error  # the instance, whose traceback leads into the ADS
+        self.interruption = (
+            self.interruption or error
+        )  # the instance, whose traceback leads into the ADS
         raise error
 
 
@@ -333,7 +356,9 @@ class _Watchdog:
                 self._start_timer()
             if self._thread is None:
                 self._pause = guard.pause
-                self._thread = threading.Thread(target=self._run, name="pafot-hang-guard", daemon=True)
+                self._thread = threading.Thread(
+                    target=self._run, name="pafot-hang-guard", daemon=True
+                )
                 self._thread.start()
             elif guard.pause < self._pause:
                 self._wake.set()
@@ -373,7 +398,11 @@ class _Watchdog:
                 guards, resort = self.guards.copy(), self._resort
                 self._start_timer()
             ignored = max([guard.look() for guard in guards], default=0.0)
-            if resort is not None and resort.end_world is not None and any(guard.is_stuck() for guard in guards):
+            if (
+                resort is not None
+                and resort.end_world is not None
+                and any(guard.is_stuck() for guard in guards)
+            ):
                 resort.end_world()
             if resort is not None and ignored > resort.grace:
                 resort.end()
@@ -397,7 +426,9 @@ class _Watchdog:
 
 def _is_debugged() -> bool:
     monitoring = getattr(sys, "monitoring", None)  # since Python 3.12
-    is_monitored = monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
+    is_monitored = (
+        monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
+    )
     return is_monitored or sys.gettrace() is not None
 
 
@@ -413,7 +444,9 @@ def one_process() -> OneProcess:
 
 
 _WATCHDOG = _Watchdog()
-if hasattr(os, "register_at_fork"):  # a forked process has one thread, and locks of other threads stay locked
+if hasattr(
+    os, "register_at_fork"
+):  # a forked process has one thread, and locks of other threads stay locked
     os.register_at_fork(
         before=_WATCHDOG.before_fork,
         after_in_parent=_WATCHDOG.after_fork,
@@ -465,8 +498,13 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
     if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime)):
         return True
     if isinstance(error, exits()):
-        return not is_of_ads or (getattr(error, "returncode", None) != 0 and _is_from_outside(error))
-    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
+        return not is_of_ads or (
+            getattr(error, "returncode", None) != 0 and _is_from_outside(error)
+        )
+    modules = [
+        str(frame.f_globals.get("__name__", ""))
+        for frame, _ in traceback.walk_tb(error.__traceback__)
+    ]
     return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in modules)
 
 
@@ -478,9 +516,13 @@ def let_through(error: BaseException) -> None:
 
 def _is_from_outside(error: BaseException) -> bool:
     # True if a debugger or a signal handler, for example for SIGTERM, has raised the exception.
-    handlers = [getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()]
+    handlers = [
+        getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()
+    ]
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return any(frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames)
+    return any(
+        frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames
+    )
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
@@ -491,15 +533,28 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
     if isinstance(error, AdsHang):
         guard.decision_ends()
         frames = traceback.extract_tb(_users_part(error))
-        kept = [frame for frame in frames if frame.filename != __file__]  # without the guard's own frames
-        where = "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
-        kind, message = "Hang", "one decision took longer than the hang limit of the world and was interrupted"
+        kept = [
+            frame for frame in frames if frame.filename != __file__
+        ]  # without the guard's own frames
+        where = "".join(
+            [
+                "Traceback (most recent call last):\n",
+                *traceback.StackSummary.from_list(kept).format(),
+            ]
+        )
+        kind, message = (
+            "Hang",
+            "one decision took longer than the hang limit of the world and was interrupted",
+        )
         if isinstance(error, WorldHang):
             kind, message = WORLD_HANG, str(error)
         return AdsError(kind=kind, message=message, traceback=where, tick=tick, interrupted=True)
     report = traceback.TracebackException(type(error), error, _users_part(error))
     return AdsError(
-        kind=type(error).__name__, message=one_line(str(report)), traceback="".join(report.format()), tick=tick
+        kind=type(error).__name__,
+        message=one_line(str(report)),
+        traceback="".join(report.format()),
+        tick=tick,
     )
 
 
@@ -537,12 +592,22 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
             close()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = f"a call that returns within {guard.limit:g} s" if failed.interrupted else "no exception"
-        received = "one that had to be interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
+        what = (
+            f"a call that returns within {guard.limit:g} s"
+            if failed.interrupted
+            else "no exception"
+        )
+        received = (
+            "one that had to be interrupted"
+            if failed.interrupted
+            else f"{failed.kind}: {failed.message}"
+        )
         text = f"{name}: expected {what}, received {received}. This does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
-        except RuntimeWarning:  # with `-W error`, it would hide the error of the run, or end pytest's summary
+        except (
+            RuntimeWarning
+        ):  # with `-W error`, it would hide the error of the run, or end pytest's summary
             with warnings.catch_warnings():
                 warnings.simplefilter("always")
                 warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -20,8 +20,12 @@ EGO_BRAKING = 9.81
 EGO_STEERING = math.pi / 4
 """The maximum steering angle [rad] of an ego."""
 
-KP_SPEED = 1.0 / 0.6  # acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
-STEEPEST = math.pi / 4  # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
+KP_SPEED = (
+    1.0 / 0.6
+)  # acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
+STEEPEST = (
+    math.pi / 4
+)  # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
 """The default limits on lateral acceleration [m/s^2] and lateral jerk [m/s^3] in a :class:`LaneCommand`.
@@ -59,7 +63,12 @@ def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | LaneComm
     Raises:
         BadAction: if the action is neither two finite numbers nor a valid command for a road with ``lanes`` lanes.
     """
-    if type(action) is tuple and len(action) == 2 and type(action[0]) is float and type(action[1]) is float:
+    if (
+        type(action) is tuple
+        and len(action) == 2
+        and type(action[0]) is float
+        and type(action[1]) is float
+    ):
         pair = action
     elif isinstance(action, LaneCommand):
         return _checked_lane_command(action, lanes)
@@ -138,7 +147,12 @@ def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
     if len(given) != 1:
         raise _bad_lane_command("either a speed [m/s] or an acceleration [m/s^2]", command)
     most, jerk = command.lateral_acceleration, command.lateral_jerk
-    is_plain = type(command.lane) is int and type(given[0]) is float and type(most) is float and type(jerk) is float
+    is_plain = (
+        type(command.lane) is int
+        and type(given[0]) is float
+        and type(most) is float
+        and type(jerk) is float
+    )
     lane, value = command.lane, given[0]
     if not is_plain:  # these conversions take longer than the rest of a tick
         lane, value = _lane_and_value(command, given[0])
@@ -150,13 +164,17 @@ def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
     if command.speed is not None and value < 0.0:
         raise _bad_lane_command("a speed of at least 0 m/s", command)
     if not 0.1 <= most <= 100.0:
-        raise _bad_lane_command("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", command)
+        raise _bad_lane_command(
+            "lateral_acceleration= from 0.1 to 100 m/s^2, or without it", command
+        )
     if not 0.1 <= jerk <= 1000.0:
         raise _bad_lane_command("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", command)
     if is_plain and type(command) is LaneCommand:
         return command
     if command.speed is None:
-        return LaneCommand(lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk)
+        return LaneCommand(
+            lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk
+        )
     return LaneCommand(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
 
 
@@ -195,9 +213,14 @@ def hint_at(action: Any) -> str:
     """Return a hint about the likely cause of an invalid action, or an empty string."""
     if action is None:
         return "is a `return` missing?"
-    if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):
+    if (
+        type(action) is tuple
+        and len(action) == 2
+        and (action[1] is None or isinstance(action[1], tuple))
+    ):
         return (
-            "(action, state) is what `model.predict` returns: use `model.predict(observation, deterministic=True)[0]`"
+            "(action, state) is what `model.predict` returns: use "
+            "`model.predict(observation, deterministic=True)[0]`"
         )
     if isinstance(action, LaneCommand):
         return "pafot.LaneCommand is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
@@ -207,5 +230,7 @@ def hint_at(action: Any) -> str:
         return "an ADS is an ordinary function, without `async` and `yield`"
     shape = getattr(action, "shape", ())
     if isinstance(shape, tuple) and len(shape) > 1 and shape[0] == 1:
-        return f"its shape {tuple(shape)} is for several environments; use its first row, `action[0]`"
+        return (
+            f"its shape {tuple(shape)} is for several environments; use its first row, `action[0]`"
+        )
     return ""

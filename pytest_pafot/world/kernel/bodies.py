@@ -11,7 +11,9 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
-COLUMNS = 7  # values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+COLUMNS = (
+    7  # values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+)
 MAX_SPEED = TOP_SPEED  # both forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
 
 
@@ -33,7 +35,9 @@ class Body(Box):
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
         self.length = length
         self.width = width
-        self.lane = 0  # nearest lane, updated after all bodies have moved; not used for crossing vehicles
+        self.lane = (
+            0  # nearest lane, updated after all bodies have moved; not used for crossing vehicles
+        )
 
     def place(self, x: float, y: float, heading: float, speed: float) -> None:
         """Set the position [m], the heading [rad] and the speed [m/s]."""

@@ -20,11 +20,19 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import BaseDirector, NetworkDirector, Npc, Start
-from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, speed_for_braking
+from pytest_pafot.world.kernel.driver import (
+    NpcDriver,
+    clear_to_enter,
+    following_speed,
+    gap_speed,
+    speed_for_braking,
+)
 from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
-FREEZE = 3.0  # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
+FREEZE = (
+    3.0  # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
+)
 # The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
 # NPC would wait for an ego that itself waits.
 SLOWEST, FASTEST = 0.5, 1.3
@@ -38,7 +46,10 @@ BUILDING_UP, BRAKING = 0.4, 5.0
 LEAST_SPEED = 0.5  # lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
 ABREAST = 2.0  # distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
-UNENDING, NOWHERE = math.inf, float("nan")  # unlike math.inf and math.nan, these are C numbers in compiled code
+UNENDING, NOWHERE = (
+    math.inf,
+    float("nan"),
+)  # unlike math.inf and math.nan, these are C numbers in compiled code
 
 
 class SharedPlace:
@@ -84,13 +95,19 @@ class CrossingNpc(Body):
         # slot of the instruction [s], start along the path [m], and largest lateral acceleration at the start [m/s^2]
         self.slot = self.begins = self.turning = 0.0
         self.track = track
-        self.enters, self.leaves = zone  # positions along its path at which it enters and leaves its zone [m]
-        self.ego_enters, self.ego_leaves = ego_zone  # the same for the ego, along the ego's path [m]
+        self.enters, self.leaves = (
+            zone  # positions along its path at which it enters and leaves its zone [m]
+        )
+        self.ego_enters, self.ego_leaves = (
+            ego_zone  # the same for the ego, along the ego's path [m]
+        )
         self.act = act
         self.middle = middle  # position at which it stops if its act is STOP [m]
         self.wanted = speed  # speed of the instruction [m/s]
         self.speeds = array("d", speeds)  # planned speed at each point [m/s]
-        self.times = array("d", [0.0]) * len(speeds)  # planned time from the first point to each point [s]
+        self.times = array("d", [0.0]) * len(
+            speeds
+        )  # planned time from the first point to each point [s]
         self._plan()
         self.asked = 0.0  # acceleration in the previous tick [m/s^2]
         self.course = 0.0  # direction of motion after the previous tick's steering [rad]
@@ -106,11 +123,15 @@ class CrossingNpc(Body):
     def _plan(self) -> None:
         speeds, times = self.speeds, self.times
         for point in range(len(speeds)):
-            most = gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
+            most = (
+                gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
+            )
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
                 # from the mean speed over a step, with a lower limit, so that stops take a finite time
-                times[point] = times[point - 1] + 2.0 * STEP / max(speeds[point] + speeds[point - 1], 2e-3)
+                times[point] = times[point - 1] + 2.0 * STEP / max(
+                    speeds[point] + speeds[point - 1], 2e-3
+                )
 
     def lasts(self, since: float, until: float) -> float:
         """Return the time [s] from one position to another at the planned speeds."""
@@ -159,15 +180,21 @@ class JunctionDirector(BaseDirector):
         self._tick = 0
         others = iter(grid.npcs if grid else ())
         npcs: list[Body] = [
-            next(others) if each is None else self._npc(index, each) for index, each in enumerate(scenario.crossings)
+            next(others) if each is None else self._npc(index, each)
+            for index, each in enumerate(scenario.crossings)
         ]
         super().__init__(npcs)
         self._crossing = [npc for npc in self.npcs if isinstance(npc, CrossingNpc)]
-        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]  # `command` replaces the first with the ego
+        self._vehicles = [
+            Body(CAR.length, CAR.width),
+            *self.npcs,
+        ]  # `command` replaces the first with the ego
         self._relations = [self._related(number) for number in range(len(self._vehicles))]
         for npc in self._crossing:
             npc.conflicts, npc.leaders = self._relations[npc.index + 1]
-        self._numbers = [number for number, each in enumerate(scenario.crossings, 1) if each is None]
+        self._numbers = [
+            number for number, each in enumerate(scenario.crossings, 1) if each is None
+        ]
         if grid is not None:
             grid.others = self
 
@@ -179,7 +206,15 @@ class JunctionDirector(BaseDirector):
         act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
         driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
         npc = CrossingNpc(
-            way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, (kind.length, kind.width), driver
+            way.track,
+            instruction.speed,
+            speeds,
+            zone.npc,
+            zone.ego,
+            act,
+            way.middle,
+            (kind.length, kind.width),
+            driver,
         )
         npc.index, npc.slot = index, instruction.slot
         npc.turning = BEND_SHARE * limits.lateral_acceleration
@@ -197,7 +232,9 @@ class JunctionDirector(BaseDirector):
             if other > 0:
                 sizes = [self._vehicles[each].length - CAR.length for each in (number, other)]
                 conflicts += [
-                    SharedPlace(other, *(longer(*each) for each in zip(stretches, sizes, strict=True)))
+                    SharedPlace(
+                        other, *(longer(*each) for each in zip(stretches, sizes, strict=True))
+                    )
                     for stretches in self._junction.stretches(mine, theirs)
                 ]
             if (places := self._junction.places(mine, theirs)) is not None:
@@ -221,13 +258,19 @@ class JunctionDirector(BaseDirector):
 
     def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
         others = iter(rows)
-        return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
+        return (
+            tuple(next(others) if each is None else () for each in self._scenario.crossings)
+            if rows
+            else ()
+        )
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
         others = iter(() if self._grid is None else self._grid.arrivals)
         return tuple(
-            (npc.entered if npc.entered >= 0 else None,) if isinstance(npc, CrossingNpc) else next(others)
+            (npc.entered if npc.entered >= 0 else None,)
+            if isinstance(npc, CrossingNpc)
+            else next(others)
             for npc in self.npcs
         )
 
@@ -236,13 +279,20 @@ class JunctionDirector(BaseDirector):
 
     def started(self, starts: list[Start]) -> list[Start]:
         on_grid = iter(starts if self._grid is None else self._grid.started(starts))
-        return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
+        return [
+            self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs
+        ]
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
-        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # just after a bend, there is still slip
+        turn = (
+            math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
+        )  # just after a bend, there is still slip
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
-        return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
+        return along, (
+            *track.pose(along),
+            min(track.value(npc.speeds, along), fastest, npc.driver.top_speed),
+        )
 
     def command(self, ego: Body) -> None:
         self._vehicles[0] = ego
@@ -273,7 +323,9 @@ class JunctionDirector(BaseDirector):
             if math.isnan(along):
                 continue
             front, rear = (theirs, npc) if along > npc.x else (npc, theirs)
-            if not clear_to_enter(abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed):
+            if not clear_to_enter(
+                abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed
+            ):
                 return False
         return True
 
@@ -282,7 +334,9 @@ class JunctionDirector(BaseDirector):
         fastest = track.value(track.speed, npc.x)
         wanted = min(npc.wanted, fastest)
         if npc.entered == NEVER and npc.act in (PASS, STOP):
-            gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # until the accelerator is released
+            gained = (
+                max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)
+            )  # until the accelerator is released
             wanted = min(wanted * self._speed_factor(npc, ego), fastest - gained)
         npc.stands_at = UNENDING  # set below if the NPC waits
         if npc.act == STOP:
@@ -320,8 +374,14 @@ class JunctionDirector(BaseDirector):
             if npc.slot > 0.0:
                 due = last + npc.slot
             else:
-                due = first + npc.slot - crossing if npc.slot < 0.0 else (first + last - crossing) / 2.0
-            if npc.act != LATE:  # limited to a time that the NPC can reach within SLOWEST and FASTEST
+                due = (
+                    first + npc.slot - crossing
+                    if npc.slot < 0.0
+                    else (first + last - crossing) / 2.0
+                )
+            if (
+                npc.act != LATE
+            ):  # limited to a time that the NPC can reach within SLOWEST and FASTEST
                 left = npc.lasts(npc.x, npc.enters)
                 due = min(max(due, left / FASTEST), left / SLOWEST)
             npc.entry = now + due
@@ -333,7 +393,9 @@ class JunctionDirector(BaseDirector):
         if not npc.ego_enters < ego.x < npc.ego_leaves:
             npc.noticed = 0
             return False
-        if npc.noticed == 0:  # no reaction if the ego leaves in time, or if the NPC can no longer stop
+        if (
+            npc.noticed == 0
+        ):  # no reaction if the ego leaves in time, or if the NPC can no longer stop
             stays = (npc.ego_leaves - ego.x) / max(ego.speed, 0.1)
             comes = npc.lasts(npc.x, npc.enters) * self._slowness(npc)
             room = npc.enters - npc.x - RESPONSE * npc.speed
@@ -354,7 +416,9 @@ class JunctionDirector(BaseDirector):
             return npc.lasts(npc.x, place) * self._slowness(npc)
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
-    def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
+    def _giving_way(
+        self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float
+    ) -> float:
         """Limit a desired speed [m/s] so that an NPC gives way if another NPC would reach a conflict at the same time.
 
         If both NPCs can wait, the one with the higher index waits. If only one of them can wait, that one does.
@@ -369,12 +433,17 @@ class JunctionDirector(BaseDirector):
             comes = 0.0 if is_in else self._time_to(theirs, conflict.its_begins)
             if comes > self._time_to(mine, conflict.ends) + APART:  # this NPC passes first
                 continue
-            if self._time_to(mine, conflict.begins) > self._time_to(theirs, conflict.its_ends) + APART:
+            if (
+                self._time_to(mine, conflict.begins)
+                > self._time_to(theirs, conflict.its_ends) + APART
+            ):
                 continue
             room = conflict.begins - MARGIN - mine.x
             if not is_in:  # an NPC that can no longer stop does not have to give way
                 can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
-                if not can_stop(room + MARGIN, mine.speed) or (can_wait and conflict.other > index + 1):
+                if not can_stop(room + MARGIN, mine.speed) or (
+                    can_wait and conflict.other > index + 1
+                ):
                     continue
             wanted = min(wanted, stopping_speed(room, mine.speed))
         return wanted

@@ -13,7 +13,13 @@ from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
-from pytest_pafot.model.instructions import LANE_STARTS, Cell, longitudinal_target, repair_gene, toss
+from pytest_pafot.model.instructions import (
+    LANE_STARTS,
+    Cell,
+    longitudinal_target,
+    repair_gene,
+    toss,
+)
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
 from pytest_pafot.world.kernel.bodies import Body
@@ -52,7 +58,9 @@ ENTRY_GAP = 1.5  # smallest gap at which an NPC moves in behind an ego of equal 
 NOT_BEHIND = -1
 
 # The following numbers are for roads with bends.
-LOOK_AHEAD = 3.0  # driving time for which a lane must continue so that an NPC enters it or stays in it [s]
+LOOK_AHEAD = (
+    3.0  # driving time for which a lane must continue so that an NPC enters it or stays in it [s]
+)
 # The proportion of the largest angle to a lane that an NPC uses relative to its target lane. The rest is a reserve,
 # because the lane that the NPC leaves has a slightly different direction at the start and end of a bend.
 HEADING_SHARE = 0.9
@@ -70,7 +78,9 @@ class Npc(Body):
         self.limits: Any = None
         self.bends: Any = None  # the road with this NPC's speeds and leans; None on a straight road
         self.top_speed = self.half_lengths = self.longer = self.lateral = 0.0
-        self.index = index  # index of the chain in the director's scenario, which has no crossing NPCs
+        self.index = (
+            index  # index of the chain in the director's scenario, which has no crossing NPCs
+        )
         self.chain: tuple[Any, ...] = chain
         self.executed: list[Any] = []  # cells or lanes of the started genes
         self.arrivals: list[int | None] = []  # tick of the arrival in each started gene, or None
@@ -78,7 +88,9 @@ class Npc(Body):
         self.column = 0
         self.target = 0.0  # distance from the ego to the cell's centre along the road [m]
         self.target_speed = 0.0
-        self.kept_lane = NO_LANE  # lane that is kept until the gene ends, after arrival or without a target lane
+        self.kept_lane = (
+            NO_LANE  # lane that is kept until the gene ends, after arrival or without a target lane
+        )
         self.kept_speed = 0.0  # desired speed in the kept lane or the shift lane [m/s]
         self.shift_lane = NO_LANE  # target lane of a Lane-Instruction
         self.heading_for = 0  # lane to which the NPC steered in the previous tick
@@ -152,17 +164,26 @@ class Director(BaseDirector):
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         traffic = STYLES[scenario.traffic]
-        self._row = self._far = 0.0  # largest half_lengths, and distance from which no NPC follows another [m]
+        self._row = self._far = (
+            0.0  # largest half_lengths, and distance from which no NPC follows another [m]
+        )
         self._is_mixed = bool(scenario.vehicles)
         self._aside = CAR.width + BESIDE
         before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
-            if kind is not before:  # equal vehicles share a controller, which keeps no state between two calls
+            if (
+                kind is not before
+            ):  # equal vehicles share a controller, which keeps no state between two calls
                 before, own = kind, limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
-                driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
+                driver = NpcDriver(
+                    own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed
+                )
                 # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
-                half_lengths, longer = (ego_length + npc.length) / 2.0, max(npc.length - CAR.length, 0.0) / 2.0
+                half_lengths, longer = (
+                    (ego_length + npc.length) / 2.0,
+                    max(npc.length - CAR.length, 0.0) / 2.0,
+                )
                 self._row = max(self._row, half_lengths)
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
             npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
@@ -173,12 +194,18 @@ class Director(BaseDirector):
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._easing = -speed_for_braking(traffic.braking, 0.0)  # largest reduction of the current speed [m/s]
+        self._easing = -speed_for_braking(
+            traffic.braking, 0.0
+        )  # largest reduction of the current speed [m/s]
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._kept = self._reaction + 1  # number of stored ticks; the ego's braking is computed from two speeds
+        self._kept = (
+            self._reaction + 1
+        )  # number of stored ticks; the ego's braking is computed from two speeds
         if self._attentive:
-            self._seen = array("d", [0.0]) * (2 * self._kept)  # a ring buffer of the ego's x and speed
+            self._seen = array("d", [0.0]) * (
+                2 * self._kept
+            )  # a ring buffer of the ego's x and speed
         self._tick = 0
         self._gene = 0
         self._left = 0
@@ -188,10 +215,16 @@ class Director(BaseDirector):
         """The scenario, in which started genes are as executed, and the others as requested."""
         scenario: Scenario = self._scenario
         on_grid, in_lanes = (
-            [(done, gene) for npc in npcs for done, gene in zip(npc.executed, npc.chain, strict=False)]
+            [
+                (done, gene)
+                for npc in npcs
+                for done, gene in zip(npc.executed, npc.chain, strict=False)
+            ]
             for npcs in (self._on_grid, self._in_lanes)
         )
-        if all(cell == gene.cell for cell, gene in on_grid) and all(lane == gene.lane for lane, gene in in_lanes):
+        if all(cell == gene.cell for cell, gene in on_grid) and all(
+            lane == gene.lane for lane, gene in in_lanes
+        ):
             return scenario
         return scenario.rechained(with_targets(scenario.npcs, [npc.executed for npc in self.npcs]))
 
@@ -209,8 +242,13 @@ class Director(BaseDirector):
         """Return the cells in which the NPCs start, with impossible cells replaced."""
         existing = self._first_existing()
         # NPCs on the grid come first. The other NPCs get the remaining cells.
-        held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
-        on_grid, free = iter(held), iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
+        held = self._repaired(
+            None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0
+        )
+        on_grid, free = (
+            iter(held),
+            iter([cell for cell in LANE_STARTS if cell in existing and cell not in held]),
+        )
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
 
     def command(self, ego: Body) -> None:
@@ -240,7 +278,9 @@ class Director(BaseDirector):
     def _remember(self, ego: Body) -> None:
         # Store the ego's position and speed, for delayed reactions of NPCs.
         seen = self._seen
-        if self._tick == 0:  # before the first tick, the ego is assumed to have driven at its start speed
+        if (
+            self._tick == 0
+        ):  # before the first tick, the ego is assumed to have driven at its start speed
             for place in range(1, self._kept):
                 driven = (self._kept - place) * self._delay / self._reaction * ego.speed
                 seen[2 * place] = ego.x - driven / self._stretch(ego)
@@ -253,10 +293,19 @@ class Director(BaseDirector):
         gene = self._gene
         active = [npc for npc in self._on_grid if gene < len(npc.chain)]
         if gene:
-            before, wanted = [npc.executed[-1] for npc in active], [npc.chain[gene].cell for npc in active]
+            before, wanted = (
+                [npc.executed[-1] for npc in active],
+                [npc.chain[gene].cell for npc in active],
+            )
             cells = self._repaired(before, wanted, self._existing(ego), active, gene)
         else:
-            cells = tuple([cell for npc, cell in zip(self.npcs, self.first_cells(), strict=True) if npc in active])
+            cells = tuple(
+                [
+                    cell
+                    for npc, cell in zip(self.npcs, self.first_cells(), strict=True)
+                    if npc in active
+                ]
+            )
             for npc in self.npcs:
                 npc.heading_for = npc.lane
         for npc, cell in zip(active, cells, strict=True):
@@ -266,7 +315,9 @@ class Director(BaseDirector):
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
-        for npc in self._in_lanes:  # if the lane of a Lane-Instruction does not exist, the NPC keeps its lane
+        for npc in (
+            self._in_lanes
+        ):  # if the lane of a Lane-Instruction does not exist, the NPC keeps its lane
             if gene < len(npc.chain):
                 instruction = npc.chain[gene]
                 wanted_lane = npc.lane + instruction.column
@@ -287,7 +338,12 @@ class Director(BaseDirector):
         return self._cells[ego.lane]
 
     def _repaired(
-        self, before: list[Cell] | None, wanted: list[Cell], existing: frozenset[Cell], npcs: list[Npc], gene: int
+        self,
+        before: list[Cell] | None,
+        wanted: list[Cell],
+        existing: frozenset[Cell],
+        npcs: list[Npc],
+        gene: int,
     ) -> tuple[Cell, ...]:
         coins = map(toss, repeat(self._scenario.seed), [npc.index for npc in npcs], repeat(gene))
         return repair_gene(before, wanted, existing, coins, skipping=self.skips)
@@ -316,14 +372,18 @@ class Director(BaseDirector):
         driver = npc.driver
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
-        npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
+        npc.steering = driver.steering(
+            npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed
+        )
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:
         # The position [m] along the road of an attentive NPC's cell, relative to the ego.
         if npc.row == 0 or npc.column != 0:
             return npc.target
-        if npc.row < 0:  # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
+        if (
+            npc.row < 0
+        ):  # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
             return -(npc.half_lengths + max(self._clearance, following_gap(ego.speed)))
         return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
@@ -347,7 +407,9 @@ class Director(BaseDirector):
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
-            has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(ego.speed * ego.heading)
+            has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(
+                ego.speed * ego.heading
+            )
             npc.behind = self._reaction if has_moved_in else 0
         elif npc.behind < self._reaction:
             npc.behind += 1
@@ -359,15 +421,22 @@ class Director(BaseDirector):
         ahead = 0.0  # expected distance that the ego has driven since then, if it is still braking as before [m]
         if not is_led and self._tick > 0:
             seen = self._seen
-            before, place = self._tick % self._kept, (self._tick + 1) % self._kept  # the two oldest entries
+            before, place = (
+                self._tick % self._kept,
+                (self._tick + 1) % self._kept,
+            )  # the two oldest entries
             x, ego_speed = seen[2 * place], seen[2 * place + 1]
             gained = ego_speed - seen[2 * before + 1]
             braking = max(-gained * self._reaction / self._delay, 0.0)
-            seconds = ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
+            seconds = (
+                ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
+            )
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
-        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as stationary
+        safe = following_speed(
+            gap, max(ego_speed, 0.0), npc.speed
+        )  # a reversing ego counts as stationary
         if not is_led:
             safe = max(safe, speed_for_braking(ANSWER, npc.speed))
         return min(speed, safe)
@@ -447,7 +516,10 @@ class Director(BaseDirector):
                 aside += mine.longer * abs(mine.heading) + theirs.longer * abs(theirs.heading)
             is_beside = abs(theirs.y - mine.y) < aside
             crosses = (
-                theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
+                theirs.lane == lane
+                or theirs.lane == goal
+                or theirs.heading_for == lane
+                or theirs.heading_for == goal
             )
             if not (is_beside or crosses):
                 continue
@@ -467,11 +539,19 @@ class NetworkDirector(Director):
     """
 
     def __init__(
-        self, scenario: Scenario, road: Any, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        road: Any,
+        limits: NpcLimits,
+        *,
+        start_cells: frozenset[Cell],
+        **common: Any,
     ) -> None:
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
         lanes = Lanes(road.lane_count, road.lane_width, road.end)
-        super().__init__(scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common)
+        super().__init__(
+            scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common
+        )
         self.skips = True
         self._road: Any = road
         self.others: BaseDirector | None = None
@@ -497,7 +577,9 @@ class NetworkDirector(Director):
             [gene.cell for gene in chain[: len(row)]] == list(row)
             for chain, row in zip(written.positions, cells, strict=True)
         )
-        return () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
+        return (
+            () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
+        )
 
     def _first_existing(self) -> frozenset[Cell]:
         return self._start_cells
@@ -516,7 +598,9 @@ class NetworkDirector(Director):
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         distance = front.x - rear.x
-        distance *= min(self._stretch(front), self._stretch(rear))  # in a bend, the shorter distance counts
+        distance *= min(
+            self._stretch(front), self._stretch(rear)
+        )  # in a bend, the shorter distance counts
         return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
@@ -530,11 +614,17 @@ class NetworkDirector(Director):
         if self.others is not None:  # crossing NPCs, bends and ends of lanes limit the speed
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
-        gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
+        gained = (
+            asked * asked / (2.0 * self._jerk)
+        )  # speed gained while the accelerator is released
         wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
         wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
-        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # an NPC that is turned outwards must turn back
-            changing = math.sqrt(CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9))
+        if (
+            abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES
+        ):  # an NPC that is turned outwards must turn back
+            changing = math.sqrt(
+                CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9)
+            )
             wanted = min(wanted, max(npc.speed, changing))
         npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
         npc.acceleration = npc.asked
@@ -558,7 +648,9 @@ class NetworkDirector(Director):
             self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
         # If the goal is a lane, the desired speed is the instruction's. If it is a cell, it depends on the ego's speed.
         if npc.kept_lane >= 0 or shift >= 0:
-            return self._next_lane(npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego), npc.kept_speed
+            return self._next_lane(
+                npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego
+            ), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
         wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
         if goal != npc.lane:

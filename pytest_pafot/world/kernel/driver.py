@@ -73,7 +73,11 @@ def speed_for_braking(braking: float, speed: float) -> float:
 
 def stopping_room(top_speed: float) -> float:
     """Return the smallest gap [m] to a stationary leader at which an NPC may drive at its top speed."""
-    return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
+    return (
+        FOLLOWING_GAP
+        + FOLLOWING_TIME * top_speed
+        + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
+    )
 
 
 def clear_to_enter(gap: float, closing_speed: float) -> bool:
@@ -105,7 +109,12 @@ class NpcDriver:
     """
 
     def __init__(
-        self, limits: NpcLimits, top_speed: float, length: float, dt: float, lateral_speed: float = math.inf
+        self,
+        limits: NpcLimits,
+        top_speed: float,
+        length: float,
+        dt: float,
+        lateral_speed: float = math.inf,
     ) -> None:
         lateral = limits.lateral_acceleration
         self._dt = dt
@@ -132,7 +141,9 @@ class NpcDriver:
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
-        lowest = lowest if lowest > -self._braking else -self._braking  # max() is slower if interpreted
+        lowest = (
+            lowest if lowest > -self._braking else -self._braking
+        )  # max() is slower if interpreted
         acceleration = lowest if acceleration < lowest else acceleration
         acceleration = highest if acceleration > highest else acceleration
         # Near the top speed, the acceleration stays low enough to fall to zero in time within the jerk limit. See
@@ -142,7 +153,9 @@ class NpcDriver:
         if speed + acceleration * self._dt < 0.0:
             acceleration = -speed / self._dt
             while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
-                acceleration = math.nextafter(acceleration, math.inf)  # not 0, because a simulator may have reversed it
+                acceleration = math.nextafter(
+                    acceleration, math.inf
+                )  # not 0, because a simulator may have reversed it
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
@@ -167,7 +180,14 @@ class NpcDriver:
         return self.steering_in_bend(offset, heading, course, speed, 0.0, 0.0, 0.0)
 
     def steering_in_bend(
-        self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
+        self,
+        offset: float,
+        heading: float,
+        course: float,
+        speed: float,
+        lean: float,
+        turn: float,
+        sharpest: float,
     ) -> float:
         """Return the steering angle [rad] towards the centre of a curved lane.
 
@@ -186,13 +206,20 @@ class NpcDriver:
         spare = self._lateral_limit - sharpest * speed * speed
         planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
-        lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
+        lateral_speed = min(
+            LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed
+        )
         # The heading follows the course with a delay and must not exceed its own limit, so the lean reduces the angle.
-        bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
+        bound = min(
+            MARGIN * self._most - abs(lean),
+            math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest),
+        )
         bound = max(min(bound, self._swing), 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
         wanted = math.copysign(min(wanted, bound), -offset)
-        fastest = self._lateral_limit / speed  # Neither the heading nor the course may turn faster than this.
+        fastest = (
+            self._lateral_limit / speed
+        )  # Neither the heading nor the course may turn faster than this.
         rate = clamp(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamp(rate * self._half_length / speed, MAX_SLIP))
         most = max(self._most - abs(lean), 0.0)
@@ -223,7 +250,9 @@ class LaneTracker:
         self._acceleration = clamp(speed * rate, most)  # a sharper turn would lead off the road
         self._angle = angle
 
-    def steering(self, offset: float, heading: float, speed: float, most: float, jerk: float) -> float:
+    def steering(
+        self, offset: float, heading: float, speed: float, most: float, jerk: float
+    ) -> float:
         """Return the steering angle [rad] for the coming tick, for highway-env's bicycle model.
 
         ``most`` limits the lateral acceleration [m/s^2], and ``jerk`` limits the lateral jerk [m/s^3].
@@ -243,8 +272,12 @@ class LaneTracker:
         slope = planned / (lateral_speed + ramp)
         if lateral_speed > speed * math.sin(LANE_ANGLE):
             lateral_speed, slope = speed * math.sin(LANE_ANGLE), 0.0
-        missing = speed * _turn(math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course)
-        wanted = self._towards(missing, TRACKING_SHARE * step) - slope * speed * math.sin(self._course)
+        missing = speed * _turn(
+            math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course
+        )
+        wanted = self._towards(missing, TRACKING_SHARE * step) - slope * speed * math.sin(
+            self._course
+        )
         change = clamp(clamp(wanted, limit) - self._acceleration, step * self._dt)
         self._acceleration = clamp(self._acceleration + change, turning)
         self._course += self._acceleration / speed * self._dt
@@ -258,7 +291,9 @@ class LaneTracker:
         size = abs(missing)
         if size * self._gain * self._gain <= jerk:
             return self._gain * missing
-        return math.copysign(math.sqrt(2.0 * jerk * (size - jerk / (2.0 * self._gain * self._gain))), missing)
+        return math.copysign(
+            math.sqrt(2.0 * jerk * (size - jerk / (2.0 * self._gain * self._gain))), missing
+        )
 
 
 def _turn(angle: float) -> float:

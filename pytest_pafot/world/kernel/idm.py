@@ -24,11 +24,18 @@ from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.kernel.places import Places
 
-ON_LANE = 1.0  # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
-LANE_ENDS = 5.0  # distance past a lane's ends within which a vehicle still counts as in the lane [m]
+ON_LANE = (
+    1.0  # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
+)
+LANE_ENDS = (
+    5.0  # distance past a lane's ends within which a vehicle still counts as in the lane [m]
+)
 NOWHERE = float("nan")
 PURSUIT = 0.1  # time by which a vehicle looks ahead along its lane to steer [s]
-MOMENTS, APART = 11, 0.25  # number of moments at which highway-env predicts vehicles, and time between them [s]
+MOMENTS, APART = (
+    11,
+    0.25,
+)  # number of moments at which highway-env predicts vehicles, and time between them [s]
 LONGER, NARROWER = 1.5, 0.9  # factors for a vehicle's length and width in these predictions
 
 
@@ -68,7 +75,9 @@ class GoalVehicle(Body):
         self._changes_lanes = changes_lanes
         self.closest = self.goal = self._find_lane(self)
         self.target_speed = speed
-        self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that vehicles decide at different times
+        self.timer = (
+            (x + y) * math.pi
+        ) % self._delay  # as in highway-env, so that vehicles decide at different times
 
     def pursue(self) -> None:
         """Set the controls for the coming tick so that the vehicle pursues its goal, regardless of other vehicles."""
@@ -78,7 +87,9 @@ class GoalVehicle(Body):
 
     def act(self, others: list[Body]) -> None:
         """Set the controls for the coming tick, with IDM and MOBIL if the vehicle drives itself."""
-        if not self.drives_itself:  # its goal or its controls are set from outside, for example by meta-actions
+        if (
+            not self.drives_itself
+        ):  # its goal or its controls are set from outside, for example by meta-actions
             if self.has_goal:
                 self.pursue()
             return
@@ -87,7 +98,9 @@ class GoalVehicle(Body):
             self._choose_lane(others)
         self.steering = self._steering()
         acceleration = self._idm(self, self._ahead(others, self.closest))
-        if self.closest != self.goal:  # during a lane change, it brakes for the vehicle ahead in either lane
+        if (
+            self.closest != self.goal
+        ):  # during a lane change, it brakes for the vehicle ahead in either lane
             there = self._idm(self, self._ahead(others, self.goal))
             acceleration = min(acceleration, there)
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
@@ -129,7 +142,9 @@ class GoalVehicle(Body):
     def _gains(self, lane: int, others: list[Body]) -> bool:
         """Return whether MOBIL recommends changing to a lane."""
         ahead, behind = self._ahead(others, lane), self._behind(others, lane)
-        behind_then = self._idm(behind, self)  # the new follower must not brake hard, even if a route requires it
+        behind_then = self._idm(
+            behind, self
+        )  # the new follower must not brake hard, even if a route requires it
         if behind_then < -self._max_imposed:
             return False
         left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
@@ -138,7 +153,12 @@ class GoalVehicle(Body):
             return self._is_demanded(lane) and own >= -self._max_imposed
         # Kesting et al. 2007: the gain of this vehicle, plus the gain of both followers weighted by politeness
         own_gain = own - self._idm(self, left)
-        others_gain = behind_then - self._idm(behind, ahead) + self._idm(follower, left) - self._idm(follower, self)
+        others_gain = (
+            behind_then
+            - self._idm(behind, ahead)
+            + self._idm(follower, left)
+            - self._idm(follower, self)
+        )
         return own_gain + self._politeness * others_gain >= self._min_gain
 
     def _idm(self, vehicle: Body | None, front: Body | None) -> float:
@@ -168,11 +188,17 @@ class GoalVehicle(Body):
         closing_y = vehicle.speed * sin_h - front.speed * math.sin(front.heading)
         closing = closing_x * cos_h + closing_y * sin_h
         ab = -self._comfort * self._braking
-        return self._distance + vehicle.speed * self._time + vehicle.speed * closing / (2.0 * math.sqrt(ab))
+        return (
+            self._distance
+            + vehicle.speed * self._time
+            + vehicle.speed * closing / (2.0 * math.sqrt(ab))
+        )
 
     def _steering(self) -> float:
         offset = self.y - self.goal * self._lanes.width
-        angle = lane_steering(offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
+        angle = lane_steering(
+            offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+        )
         return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Body], lane: int) -> Body | None:
@@ -192,7 +218,11 @@ class GoalVehicle(Body):
         """Return the nearest vehicle behind in a lane. If several are at the same position, return the first one."""
         found = None
         for other in others:
-            if other.x < self.x and (found is None or other.x > found.x) and _is_on(other, lane, self._lanes):
+            if (
+                other.x < self.x
+                and (found is None or other.x > found.x)
+                and _is_on(other, lane, self._lanes)
+            ):
                 found = other
         return found
 
@@ -251,7 +281,9 @@ class NetworkVehicle(GoalVehicle):
         return self._routed < number if lane < self.goal else self._routed > number
 
     def _idm(self, vehicle: Body | None, front: Body | None) -> float:
-        return 0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._idm(self, vehicle, front)
+        return (
+            0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._idm(self, vehicle, front)
+        )
 
     def _distance_to(self, vehicle: Body, front: Body) -> float:
         network, lane = self._network, self._lane_of(vehicle)
@@ -269,8 +301,13 @@ class NetworkVehicle(GoalVehicle):
     def _steering(self) -> float:
         network, goal = self._network, self.goal
         network.locate(goal, self.x, self.y)
-        offset, ahead = network.across, network.heading_at(goal, network.along + self.speed * PURSUIT)
-        angle = lane_steering(offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
+        offset, ahead = (
+            network.across,
+            network.heading_at(goal, network.along + self.speed * PURSUIT),
+        )
+        angle = lane_steering(
+            offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+        )
         return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Any], lane: int) -> Body | None:
@@ -324,7 +361,9 @@ class EgosRoadRules:
         self._steps = steps
         self._every = every
         self._lasts = lasts
-        self._predicted = array("d", [0.0]) * (6 * MOMENTS)  # x, y and heading at each moment, for ego and NPC
+        self._predicted = array("d", [0.0]) * (
+            6 * MOMENTS
+        )  # x, y and heading at each moment, for ego and NPC
 
     def apply_to_ego(self) -> None:
         """Count a step of the road. If a decision is due, make the ego yield or continue."""
@@ -337,7 +376,9 @@ class EgosRoadRules:
         for number in range(1, len(self._places.vehicles)):
             npc = self._places.vehicles[number]
             for moment in range(MOMENTS):
-                self._foresee_npc(3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1))
+                self._foresee_npc(
+                    3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1)
+                )
             if self._conflict(ego, npc) and self._comes_second(ego, npc):
                 ego.target_speed = 0.0
                 ego.waited = 0
@@ -379,9 +420,27 @@ class EgosRoadRules:
             if math.sqrt(dx * dx + dy * dy) > one.length:
                 continue
             if _has_corner_inside(
-                x, y, heading, one.length, one.width, its_x, its_y, its_heading, other.length, other.width
+                x,
+                y,
+                heading,
+                one.length,
+                one.width,
+                its_x,
+                its_y,
+                its_heading,
+                other.length,
+                other.width,
             ) or _has_corner_inside(
-                its_x, its_y, its_heading, other.length, other.width, x, y, heading, one.length, one.width
+                its_x,
+                its_y,
+                its_heading,
+                other.length,
+                other.width,
+                x,
+                y,
+                heading,
+                one.length,
+                one.width,
             ):
                 return True
         return False
@@ -398,7 +457,9 @@ class EgosRoadRules:
     def _foresee_npc(self, row: int, body: Body, time: float) -> None:
         along, bends = body.x + body.speed * time, self._bends
         npc: Any = body
-        x, y, heading = npc.track.pose(along) if isinstance(body, CrossingNpc) else bends.pose(body.lane, along)
+        x, y, heading = (
+            npc.track.pose(along) if isinstance(body, CrossingNpc) else bends.pose(body.lane, along)
+        )
         self._foresee(row, x, y, heading)
 
 
@@ -420,8 +481,14 @@ def _has_corner_inside(
     for along in range(-1, 2):
         for across in range(-1, 2):
             ahead, aside = along * (LONGER * length / 2.0), across * (NARROWER * width / 2.0)
-            dx, dy = cos * ahead - sin * aside + x - other_x, sin * ahead + cos * aside + y - other_y
+            dx, dy = (
+                cos * ahead - sin * aside + x - other_x,
+                sin * ahead + cos * aside + y - other_y,
+            )
             turned_x, turned_y = other_cos * dx - other_sin * dy, other_sin * dx + other_cos * dy
-            if abs(turned_x) <= LONGER * other_length / 2.0 and abs(turned_y) <= NARROWER * other_width / 2.0:
+            if (
+                abs(turned_x) <= LONGER * other_length / 2.0
+                and abs(turned_y) <= NARROWER * other_width / 2.0
+            ):
                 return True
     return False

@@ -14,7 +14,9 @@ import numpy as np
 
 SINE, CIRCULAR = 1, 2  # kinds of lanes; a straight lane is 0
 LANE_VALUES = 9  # values per lane in `shapes`; see Network
-LANE_ENDS = 5.0  # distance past the ends of a lane within which a vehicle still counts as in the lane [m]
+LANE_ENDS = (
+    5.0  # distance past the ends of a lane within which a vehicle still counts as in the lane [m]
+)
 # highway-env's names for the features of a vehicle, in the order in which Table stores them
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
@@ -72,7 +74,11 @@ class Network:
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         dx, dy = x - self._shapes[row], y - self._shapes[row + 1]
         if kind == CIRCULAR:
-            radius, start, turn = self._shapes[row + 2], self._shapes[row + 3], self._shapes[row + 4]
+            radius, start, turn = (
+                self._shapes[row + 2],
+                self._shapes[row + 3],
+                self._shapes[row + 4],
+            )
             phi = math.atan2(dy, dx)
             phi = start + wrap_angle(phi - start)
             self.along = turn * (phi - start) * radius
@@ -88,7 +94,11 @@ class Network:
         """Set ``x`` and ``y`` to the point at given distances [m] along a lane and to the right of its centre line."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
-            radius, start, turn = self._shapes[row + 2], self._shapes[row + 3], self._shapes[row + 4]
+            radius, start, turn = (
+                self._shapes[row + 2],
+                self._shapes[row + 3],
+                self._shapes[row + 4],
+            )
             phi = turn * along / radius + start
             self.x = self._shapes[row] + (radius - across * turn) * math.cos(phi)
             self.y = self._shapes[row + 1] + (radius - across * turn) * math.sin(phi)
@@ -101,18 +111,24 @@ class Network:
         self.y = self._shapes[row + 1] + along * sin + across * cos
 
     def _sideways(self, row: int) -> float:
-        return self._shapes[row + 5] * math.sin(self._shapes[row + 6] * self.along + self._shapes[row + 7])
+        return self._shapes[row + 5] * math.sin(
+            self._shapes[row + 6] * self.along + self._shapes[row + 7]
+        )
 
     def heading_at(self, lane: int, along: float) -> float:
         """Return a lane's direction [rad] at a distance from its start."""
         row, kind = lane * LANE_VALUES, self._kinds[lane]
         if kind == CIRCULAR:
             turn = self._shapes[row + 4]
-            return turn * along / self._shapes[row + 2] + self._shapes[row + 3] + math.pi / 2.0 * turn
+            return (
+                turn * along / self._shapes[row + 2] + self._shapes[row + 3] + math.pi / 2.0 * turn
+            )
         heading = self._shapes[row + 4]
         if kind == SINE:
             amplitude, pulsation = self._shapes[row + 5], self._shapes[row + 6]
-            heading += math.atan(amplitude * pulsation * math.cos(pulsation * along + self._shapes[row + 7]))
+            heading += math.atan(
+                amplitude * pulsation * math.cos(pulsation * along + self._shapes[row + 7])
+            )
         return heading
 
     def closest(self, x: float, y: float, heading: float) -> int:
@@ -157,12 +173,18 @@ class Table:
     """The Kinematics observation, with the features of the ego and of the nearest vehicles along the ego's lane."""
 
     def __init__(
-        self, network: Network, lanes: dict[Any, int], options: Any, ranges: Mapping[str, Sequence[float]]
+        self,
+        network: Network,
+        lanes: dict[Any, int],
+        options: Any,
+        ranges: Mapping[str, Sequence[float]],
     ) -> None:
         features = options.features
         self._network = network
         self._lanes = lanes
-        self._values = array("d", [0.0] * len(FEATURES))  # features of the vehicle that was read last
+        self._values = array(
+            "d", [0.0] * len(FEATURES)
+        )  # features of the vehicle that was read last
         self._has_destination = "cos_d" in features or "sin_d" in features
         self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
         self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
@@ -175,7 +197,9 @@ class Table:
         self._sees_behind: bool = options.see_behind
         self._sees_intentions: bool = options.observe_intentions
 
-    def observe(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int) -> Any:
+    def observe(
+        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int
+    ) -> Any:
         """Return the observation as a float32 array of shape [vehicles, features].
 
         The ego observes vehicles up to ``reach`` [m] away. Unless ``exit_lane`` is -1, the ego's x is measured along
@@ -205,7 +229,9 @@ class Table:
                 table[row, column] = self._scaled(self._columns[column])
         return made
 
-    def _nearest(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float) -> list[tuple[float, int, Any]]:
+    def _nearest(
+        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float
+    ) -> list[tuple[float, int, Any]]:
         network, lane, found = self._network, self._lanes[ego.lane], []
         x, y = ego.position.tolist()
         network.locate(lane, x, y)
@@ -222,7 +248,9 @@ class Table:
                 if behind < ahead or (self._sees_behind and index < count):
                     found.append((abs(ahead), index, other))
         found.sort()
-        return found[: self._count - 1] if self._count > 1 else found  # in highway-env, 0 other vehicles means no limit
+        return (
+            found[: self._count - 1] if self._count > 1 else found
+        )  # in highway-env, 0 other vehicles means no limit
 
     def _read(self, vehicle: Any, is_object: bool) -> None:
         values, heading = self._values, vehicle.heading
@@ -250,7 +278,9 @@ class Table:
         if not route:
             return
         start, end, number = route[-1]
-        lane = self._lanes[vehicle.road.network.get_lane((start, end, 0 if number is None else number))]
+        lane = self._lanes[
+            vehicle.road.network.get_lane((start, end, 0 if number is None else number))
+        ]
         self._network.position(lane, self._network.lengths[lane], 0.0)
         dx, dy = self._network.x - x, self._network.y - y
         away = math.sqrt(dx * dx + dy * dy)

@@ -40,7 +40,11 @@ class Lanes:
         else:
             lane = int(lanes)
             body.lane = lane + 1 if lane < lanes else lane
-        return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
+        return (
+            body.lane
+            if self._left <= across <= self._right and 0.0 <= body.x <= self.length
+            else -1
+        )
 
     def closest(self, along: float, across: float, heading: float) -> int:
         """Return the lane with the smallest sum of distance [m] and angle [rad], as highway-env does."""
@@ -73,12 +77,16 @@ class Bends:
         self,
         line: tuple[Sequence[float], Sequence[float], Sequence[float]],
         flags: tuple[Sequence[int], Sequence[int]],
-        shape: tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]],
+        shape: tuple[
+            Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]
+        ],
         widths: Sequence[float],
         lane_width: float,
     ) -> None:
         x, y, heading = line
-        exists, part = flags  # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
+        exists, part = (
+            flags  # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
+        )
         # At each point of a lane: the distance to the right of the line [m], the direction [rad], the lean of a vehicle
         # in the lane [rad], the highest speed of NPCs [m/s], and the largest curvature during a lane change [1/m].
         across, direction, lean, speed, sharpest = shape
@@ -92,14 +100,26 @@ class Bends:
         self._lanes = len(exists) // len(x)
         self._end = (len(x) - 1) * STEP
         self._lane_width = lane_width  # width of the ego's lane at the start [m]
-        self.along = self.across = self.angle = self.offset = 0.0  # results of `locate` [m, m, rad, m]
+        self.along = self.across = self.angle = self.offset = (
+            0.0  # results of `locate` [m, m, rad, m]
+        )
         self.lane = 0
         self._share = self._x0 = self._y0 = self._direction0 = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        line = list(self._x), list(self._y), list(self._heading)  # pickled when worlds are sent to other processes
+        line = (
+            list(self._x),
+            list(self._y),
+            list(self._heading),
+        )  # pickled when worlds are sent to other processes
         flags = list(self._exists), list(self._part)
-        shape = list(self._across), list(self._direction), list(self._lean), list(self._speed), list(self._sharpest)
+        shape = (
+            list(self._across),
+            list(self._direction),
+            list(self._lean),
+            list(self._speed),
+            list(self._sharpest),
+        )
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
@@ -141,7 +161,11 @@ class Bends:
     def pose(self, lane: int, along: float) -> tuple[float, float, float]:
         """Return the world x [m], y [m] and heading [rad] of a vehicle at the centre of a lane."""
         self._refer(along)
-        across, sin, cos = self.across_at(lane, along), math.sin(self._direction0), math.cos(self._direction0)
+        across, sin, cos = (
+            self.across_at(lane, along),
+            math.sin(self._direction0),
+            math.cos(self._direction0),
+        )
         heading = self.direction_at(lane, along) + self.lean_at(lane, along)
         return self._x0 - sin * across, self._y0 + cos * across, heading
 
@@ -165,7 +189,9 @@ class Bends:
         """Return the distance that a vehicle covers per metre of the line: above 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
-        return max(1.0 - bend * across, 0.2)  # without the limit, zero or negative past the centre of a bend
+        return max(
+            1.0 - bend * across, 0.2
+        )  # without the limit, zero or negative past the centre of a bend
 
     def _refer(self, along: float) -> None:
         index = self._between(along)
@@ -181,16 +207,22 @@ class Bends:
         ``near`` is a position [m] close to the vehicle, which is needed because a road can cross itself.
         """
         along = near
-        for _ in range(4):  # each step projects onto the tangent at the last position, which converges even in bends
+        for _ in range(
+            4
+        ):  # each step projects onto the tangent at the last position, which converges even in bends
             self._refer(along)
             cos, sin = math.cos(self._direction0), math.sin(self._direction0)
             ahead = (x - self._x0) * cos + (y - self._y0) * sin
             across = (y - self._y0) * cos - (x - self._x0) * sin
-            along = min(max(along + ahead / self.stretch(along, across), -self._end), 2.0 * self._end)
+            along = min(
+                max(along + ahead / self.stretch(along, across), -self._end), 2.0 * self._end
+            )
             if abs(ahead) < 1e-9:
                 break
         self._refer(along)
-        across = (y - self._y0) * math.cos(self._direction0) - (x - self._x0) * math.sin(self._direction0)
+        across = (y - self._y0) * math.cos(self._direction0) - (x - self._x0) * math.sin(
+            self._direction0
+        )
         point, nearest, best = self.point(along), 0, math.inf
         for lane in range(self._lanes):
             index = lane * self._points + point
@@ -206,7 +238,9 @@ class Bends:
         toward = lane + (1 if offset > 0.0 else -1)
         scale = 1.0
         if self.exists(toward, along):
-            apart = abs(self._value(self._across, toward, along) - self._value(self._across, lane, along))
+            apart = abs(
+                self._value(self._across, toward, along) - self._value(self._across, lane, along)
+            )
             scale = self._lane_width / apart
         return lane * self._lane_width + offset * scale
 
@@ -245,7 +279,11 @@ class Track:
         self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
         # At each point: the angle between the path and a vehicle that follows it [rad], the highest speed of an NPC
         # [m/s], and the largest curvature during a lane change that starts there [1/m].
-        self.lean, self.speed, self.sharpest = array("d", lean), array("d", speed), array("d", sharpest)
+        self.lean, self.speed, self.sharpest = (
+            array("d", lean),
+            array("d", speed),
+            array("d", sharpest),
+        )
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
@@ -266,7 +304,9 @@ class Track:
             index = min(max(int(place / STEP), 0), self._last - 1)
             share = place / STEP - index
             inside = min(max(share, 0.0), 1.0)
-            direction = self.heading[index] + inside * (self.heading[index + 1] - self.heading[index])
+            direction = self.heading[index] + inside * (
+                self.heading[index + 1] - self.heading[index]
+            )
             dx = x - (self.x[index] + share * (self.x[index + 1] - self.x[index]))
             dy = y - (self.y[index] + share * (self.y[index + 1] - self.y[index]))
             cos, sin = math.cos(direction), math.sin(direction)

@@ -63,7 +63,9 @@ class ModelDriver(EgoDriver):
     The model reacts to the vehicles and objects in ``others``, and follows the road's ``rules``, if any.
     """
 
-    def __init__(self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None) -> None:
+    def __init__(
+        self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None
+    ) -> None:
         super().__init__(ego, 1)
         self.model = ego
         self.others = others
@@ -155,7 +157,9 @@ class GivenDriver(EgoDriver):
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
         wanted = self._wanted
         if self._kind is not None:
-            self._steer(self._angle)  # the commanded angle, because the possible angle depends on the speed
+            self._steer(
+                self._angle
+            )  # the commanded angle, because the possible angle depends on the speed
             wanted, ego.steering = self._kind.limited(wanted, ego.steering, ego.speed)
         ego.acceleration = without_reversing(wanted, ego.speed, self._dt)
 
@@ -199,7 +203,9 @@ class PlannerDriver(GivenDriver):
         """
         taken = len(self.actions)
         if taken < self._given:
-            if self._sensor.is_bent:  # a decision is applied at the position of the last observation
+            if (
+                self._sensor.is_bent
+            ):  # a decision is applied at the position of the last observation
                 self._sensor.observation(tick)
             self.take(self._decisions[taken], 0.0)
             return None
@@ -211,7 +217,9 @@ class PlannerDriver(GivenDriver):
             try:
                 guard.started = started
                 action = self._ads(self._sensor.observation(tick))
-                self.take(action, self._clock() - started)  # reading an action may run the ADS's code, too
+                self.take(
+                    action, self._clock() - started
+                )  # reading an action may run the ADS's code, too
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
@@ -297,7 +305,9 @@ class Loop:
     def _note(self) -> None:
         row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
         if row + len(self._vehicles) * columns > self._end:
-            raise IndexError(f"record: expected room for tick {self.tick}, received a buffer of {self._end} numbers")
+            raise IndexError(
+                f"record: expected room for tick {self.tick}, received a buffer of {self._end} numbers"
+            )
         for body in self._vehicles:  # the state after a step, and the controls that led to it
             record[row] = body.x
             record[row + 1] = body.y
@@ -314,7 +324,12 @@ class Loop:
 
     def _contact(self) -> bool:
         """Return whether a vehicle touches another vehicle or a fixed object. Record whether the ego is involved."""
-        record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
+        record, columns, reach, count = (
+            self._record,
+            self._columns,
+            self._reach,
+            len(self._vehicles),
+        )
         start = self._row - count * columns
         # Contacts of the ego are checked first, and contacts between vehicles before contacts with objects.
         for first in range(count - 1):

@@ -109,7 +109,11 @@ class Observer(Sensor):
         """Return the state of a vehicle at a tick. The ego has index 0."""
         length, width = self.sizes[index]
         row = (tick * len(self.sizes) + index) * self.columns
-        x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
+        x, y, heading = (
+            self.record[row] - self._x0,
+            self.record[row + 1] - self._y0,
+            self.record[row + 2],
+        )
         lane = self.lanes.closest(x, y, heading)
         return _NEW(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
@@ -119,7 +123,12 @@ class Observer(Sensor):
         return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length, ()
 
     def lateral_velocities(self, tick: int) -> tuple[float, ...]:
-        first, columns, record, values = tick * len(self.sizes) * self.columns, self.columns, self.record, []
+        first, columns, record, values = (
+            tick * len(self.sizes) * self.columns,
+            self.columns,
+            self.record,
+            [],
+        )
         for index in range(len(self.sizes)):
             row = first + index * columns
             values.append(lateral_velocity(record[row + 2], record[row + 3], record[row + 5]))
@@ -129,7 +138,11 @@ class Observer(Sensor):
         """Write the states of all vehicles at a tick into an array of shape [runs, vehicles, 7], at index ``run``."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
-            x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
+            x, y, heading = (
+                self.record[row] - self._x0,
+                self.record[row + 1] - self._y0,
+                self.record[row + 2],
+            )
             values[run, index, 0] = x
             values[run, index, 1] = y
             values[run, index, 2] = heading
@@ -200,7 +213,14 @@ class Observation:
         self._lane_width = float(lane_width)
         self._speed_limit = float(speed_limit)
         numbers = tuple(range(len(others))) if ids is None else tuple(ids)
-        self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length, crossing)
+        self._details: _Details | None = (
+            decision_period,
+            acceleration,
+            steering,
+            numbers,
+            road_length,
+            crossing,
+        )
         self._lateral = lateral_velocities
         self._observer: Any = None  # not needed, because all fields are set
         self._tick = 0
@@ -219,7 +239,9 @@ class Observation:
     def others(self) -> tuple[VehicleState, ...]:
         if self._others is None:
             count = len(self._observer.sizes)
-            self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
+            self._others = tuple(
+                [self._observer.vehicle(self._tick, index) for index in range(1, count)]
+            )
         return self._others
 
     @property
@@ -252,7 +274,9 @@ class Observation:
             self._lateral = self._observer.lateral_velocities(self._tick)
         elif self._lateral is None:  # the steering angles are not known
             vehicles = [self.ego, *self.others]
-            self._lateral = tuple([lateral_velocity(each.heading, each.speed, 0.0) for each in vehicles])
+            self._lateral = tuple(
+                [lateral_velocity(each.heading, each.speed, 0.0) for each in vehicles]
+            )
         return self._lateral
 
     @property
@@ -367,7 +391,9 @@ class RoadSensor(Sensor):
         self._bends = bends
         self._leaning = list(leaning)  # the path with the leans of each vehicle, the ego first
         self._zones = list(zones)  # zone of each crossing NPC; None for the other NPCs
-        self._common = common  # number of lanes, width [m], speed limit [m/s] and length of the road [m]
+        self._common = (
+            common  # number of lanes, width [m], speed limit [m/s] and length of the road [m]
+        )
         self._physics_hz = physics_hz
         self._every = every
         self._sight: Any = None
@@ -384,7 +410,9 @@ class RoadSensor(Sensor):
         bends, record, places, count = self._bends, self._record, self._places, len(self._sizes)
         row = tick * count * COLUMNS
         x, y, heading, speed = record[row], record[row + 1], record[row + 2], record[row + 3]
-        bends.locate(x, y, heading, places.along(0))  # the ego first, because the others are relative to it
+        bends.locate(
+            x, y, heading, places.along(0)
+        )  # the ego first, because the others are relative to it
         own, across = bends.along, bends.across
         stretch = bends.stretch(own, across)
         self.along = own
@@ -396,13 +424,19 @@ class RoadSensor(Sensor):
         others, ids, lateral, crossing = [], [], [self._drift], []
         then = row
         glimpses: Any = [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
-        if self._sight is not None:  # with imperfect perception, vehicles are seen late, with errors, or not at all
+        if (
+            self._sight is not None
+        ):  # with imperfect perception, vehicles are seen late, with errors, or not at all
             before = max(0, tick - self._sight.delay(self._physics_hz))
             then = before * count * COLUMNS
             glimpses = self._sight.glimpses(self._states(then), self._seed, tick)
         for npc, error_x, error_y, error_speed in glimpses:
             at = then + (npc + 1) * COLUMNS
-            its_x, its_y, its_heading = record[at] + error_x, record[at + 1] + error_y, record[at + 2]
+            its_x, its_y, its_heading = (
+                record[at] + error_x,
+                record[at + 1] + error_y,
+                record[at + 2],
+            )
             its_speed, along = record[at + 3] + error_speed, places.along(npc + 1)
             way = places.way(npc + 1)
             if way is not None:
@@ -447,19 +481,28 @@ class RoadSensor(Sensor):
             crossing=tuple(crossing),
         )
 
-    def _state(self, number: int, speed: float, steering: float, own: float, stretch: float) -> VehicleState:
+    def _state(
+        self, number: int, speed: float, steering: float, own: float, stretch: float
+    ) -> VehicleState:
         # The state, on the straightened road, of the vehicle that was located last.
         bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
         along, lane = bends.along, bends.lane
         # the mean of the stretches at both vehicles applies to the distance
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
-        self._drift = lateral_velocity(to_lane, speed, steering)  # for the observation's lateral_velocities
-        y, leaning = bends.in_lanes(lane, along, bends.offset), to_lane - own_bends.lean_at(lane, along)
+        self._drift = lateral_velocity(
+            to_lane, speed, steering
+        )  # for the observation's lateral_velocities
+        y, leaning = (
+            bends.in_lanes(lane, along, bends.offset),
+            to_lane - own_bends.lean_at(lane, along),
+        )
         return VehicleState(own + driven, y, leaning, speed, lane, length, width)
 
     def _states(self, row: int) -> FloatArray:
         count = len(self._sizes)
-        states: FloatArray = np.array(self._record[row : row + count * COLUMNS]).reshape(count, COLUMNS)
+        states: FloatArray = np.array(self._record[row : row + count * COLUMNS]).reshape(
+            count, COLUMNS
+        )
         states[:, 4:] = [(0.0, *size) for size in self._sizes]
         return states

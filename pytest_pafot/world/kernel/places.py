@@ -46,7 +46,9 @@ class Places:
         self._lanes: Any = lanes
         self._x = x
         self._y = y
-        self.lanes = lanes if vehicles[0] is bodies[0] else None  # None if `see` must place bodies after each tick
+        self.lanes = (
+            lanes if vehicles[0] is bodies[0] else None
+        )  # None if `see` must place bodies after each tick
         self._bends: Any = bends
         self._ways = list(ways)  # path of each crossing NPC, None for the other vehicles
         self._end = end  # position along the ego's path at which the run ends [m]
@@ -84,7 +86,12 @@ class Places:
                 bends.locate(vehicle.x, vehicle.y, vehicle.heading, self._along[number])
                 along = bends.along
                 self._along[number] = along
-                body.place(along, bends.in_lanes(bends.lane, along, bends.offset), bends.angle, vehicle.speed)
+                body.place(
+                    along,
+                    bends.in_lanes(bends.lane, along, bends.offset),
+                    bends.angle,
+                    vehicle.speed,
+                )
                 body.lane = bends.nearest_lane(body.y)
                 record[row + 6] = bends.part(bends.lane, along, bends.offset)
                 self._note(number)
@@ -93,7 +100,9 @@ class Places:
         self._row += count
         if has_ended:
             self.left = Outcome.END_OF_ROAD
-        elif bends is not None and record[first + 6] < 0:  # the ego is in a lane of another road, or off the road
+        elif (
+            bends is not None and record[first + 6] < 0
+        ):  # the ego is in a lane of another road, or off the road
             ego = self.vehicles[0]
             bends.locate(ego.x, ego.y, ego.heading, self._along[0])
             record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
@@ -115,7 +124,9 @@ class Places:
     def way(self, number: int) -> Track | None:
         return self._ways[number]
 
-    def is_on_way(self, way: Track | None, x: float, y: float, heading: float, along: float) -> bool:
+    def is_on_way(
+        self, way: Track | None, x: float, y: float, heading: float, along: float
+    ) -> bool:
         """Locate a vehicle along the ego's path, and return whether it is on that path."""
         bends: Bends = self._bends
         if way is None:

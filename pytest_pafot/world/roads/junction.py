@@ -19,7 +19,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone, longer
+from pytest_pafot.model.crossings import (
+    EGOS,
+    NOT_ON_WAY,
+    Crossings,
+    Holder,
+    Kind,
+    Origin,
+    Stretch,
+    Way,
+    Zone,
+    longer,
+)
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
@@ -54,7 +65,10 @@ Section = tuple[str, str]
 WIDER = 1.0
 # distance below which boxes count as touching [m]; otherwise, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
-ONE_LANE, ONE_DIRECTION = 0.5, 0.1  # largest distance and angle between two paths in the same lane [m, rad]
+ONE_LANE, ONE_DIRECTION = (
+    0.5,
+    0.1,
+)  # largest distance and angle between two paths in the same lane [m, rad]
 # largest distance from a path and angle to it at which a vehicle obstructs vehicles on that path [m, rad]
 BESIDE, ALIGNED = 1.0, 0.3
 APPROACH = 20.0  # distance of both vehicles before the zone at which the direction of approach is determined [m]
@@ -65,7 +79,9 @@ OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
 STRAIGHTER = 0.2  # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
 LEAD = 6.0  # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
 MOST_WAYS = 64  # largest number of paths that are used, the shortest first; city blocks have very many paths
-COARSE = 4  # number of points per group; to save time, two paths are first compared by groups of points
+COARSE = (
+    4  # number of points per group; to save time, two paths are first compared by groups of points
+)
 DRAWN = 4  # step between the points of a path that are stored for pictures
 
 
@@ -88,7 +104,9 @@ class CrossingWay:
     column: Column  # lane at each point
     middle: float  # position nearest to the ego's path; if the paths merge, position of the entry into its lane [m]
     shaped: Shaped  # creates the lane for the limits and the length of an NPC
-    along_ego: list[float]  # position of each point along the ego's path [m]; NaN if far from it or turned away
+    along_ego: list[
+        float
+    ]  # position of each point along the ego's path [m]; NaN if far from it or turned away
 
     def for_vehicle(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
         """Return this path with the zone and the speeds for a vehicle type."""
@@ -113,7 +131,9 @@ class CrossingWay:
     def track(self) -> Track:
         line, of = self.line, self.column
         driven = of.direction, of.lean, of.speed, of.sharpest, of.part
-        return Track(line.x.tolist(), line.y.tolist(), *driven, self.along_ego, self.way.zone.npc[0])
+        return Track(
+            line.x.tolist(), line.y.tolist(), *driven, self.along_ego, self.way.zone.npc[0]
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,7 +176,9 @@ class JunctionRoad(NetworkRoad):
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
         """Return each crossing NPC's path, adapted to the NPC's vehicle type, and None for the other NPCs."""
         return [
-            None if each is None else self.junction.ways[each.zone].for_vehicle(scenario.vehicle_of(npc), self.limits)
+            None
+            if each is None
+            else self.junction.ways[each.zone].for_vehicle(scenario.vehicle_of(npc), self.limits)
             for npc, each in enumerate(scenario.crossings)
         ]
 
@@ -164,10 +186,16 @@ class JunctionRoad(NetworkRoad):
         return tuple(None if way is None else way.way.zone for way in self.ways(scenario))
 
     def tracks(self, scenario: Scenario) -> list[Track | None]:
-        return [None if way is None else way.track for way in self.ways(scenario)] or super().tracks(scenario)
+        return [
+            None if way is None else way.track for way in self.ways(scenario)
+        ] or super().tracks(scenario)
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
-        return super().can_drive(vehicle) if zone is None else vehicle.can_follow(self.crossings.ways[zone].sharpest)
+        return (
+            super().can_drive(vehicle)
+            if zone is None
+            else vehicle.can_follow(self.crossings.ways[zone].sharpest)
+        )
 
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
@@ -176,7 +204,9 @@ class JunctionRoad(NetworkRoad):
             return super().director(scenario, limits, cells, **common)
         grid = None
         if None in scenario.crossings:  # the NPCs around the ego
-            others = scenario.of_npcs(npc for npc, crossing in enumerate(scenario.crossings) if crossing is None)
+            others = scenario.of_npcs(
+                npc for npc, crossing in enumerate(scenario.crossings) if crossing is None
+            )
             grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
@@ -197,7 +227,9 @@ def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTy
     return JunctionRoad(**{**values, "start": junction.crossings.ego_start}, junction=junction)
 
 
-def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> Junction | None:
+def _junction_of(
+    env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType
+) -> Junction | None:
     own = _course(road.line, road.columns[road.ego_lane])
     ways, longer_by = _ways(env.road.network, road, own, limits), ego.length - CAR.length
     if not ways:
@@ -208,7 +240,10 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
             ways[name] = replace(each, way=replace(each.way, zone=zone))
     # the ego starts in the same lane, but far enough before its first zone
     first = min(each.way.zone.ego[0] for each in ways.values())
-    lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0]) * STEP
+    lane_begins = (
+        float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0])
+        * STEP
+    )
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
     shared: dict[tuple[str, str], array[float]] = {}
     meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
@@ -234,7 +269,9 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
     return Junction(crossings=crossings, ways=ways, meetings=meetings, shared=shared)
 
 
-def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
+def _ways(
+    network: Any, road: NetworkRoad, own: Course, limits: NpcLimits
+) -> dict[str, CrossingWay]:
     """Return, by name, the shortest paths that cross or join the ego's path ahead of the ego's start."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
@@ -243,7 +280,9 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
             continue
         (origin, end), *_ = path
         entry = origin, end, len(network.graph[origin][end]) - 1  # the rightmost lane
-        pieces, _ = way_of(network, entry, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
+        pieces, _ = way_of(
+            network, entry, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0
+        )
         line = line_of(pieces)
         if np.abs(curvature_of(line)).max() > TIGHTEST:
             continue  # the path jumps from lane to lane, as at the ramp of merge-v0
@@ -252,26 +291,44 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         column = replace(lane, part=parts)
         course = _course(line, column)
         met = next(meetings_of(own, course, near_pairs(own, course)), None)
-        if met is not None and met.stretches[0][0] > road.start:  # only conflicts ahead of the ego's start matter
+        if (
+            met is not None and met.stretches[0][0] > road.start
+        ):  # only conflicts ahead of the ego's start matter
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
-            way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits), sharpest=max(column.sharpest))
+            way = Way(
+                zone=zone,
+                speeds=_driven(np.array(column.speed), limits),
+                sharpest=max(column.sharpest),
+            )
             middle = met.closest[1] * STEP
-            ways[name] = CrossingWay(way=way, line=line, column=column, middle=middle, shaped=shaped, along_ego=[])
+            ways[name] = CrossingWay(
+                way=way, line=line, column=column, middle=middle, shaped=shaped, along_ego=[]
+            )
     return ways
 
 
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
     """Yield the paths through a network as tuples of sections, the shortest first. No path visits a node twice."""
-    follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
-    for section, following in follow.items():  # a section follows another one if any of their lanes do
-        lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
+    follow: dict[Section, list[Section]] = {
+        (a, b): [] for a, ends in network.graph.items() for b in ends
+    }
+    for (
+        section,
+        following,
+    ) in follow.items():  # a section follows another one if any of their lanes do
+        lasts = [
+            Piece((*section, 0), lane, 0.0, float(lane.length))
+            for lane in network.graph[section[0]][section[1]]
+        ]
         for end, lanes in network.graph.get(section[1], {}).items():
             nexts = [Piece((section[1], end, 0), lane, 0.0, float(lane.length)) for lane in lanes]
             if any(is_drivable(last, each) for last in lasts for each in nexts):
                 following.append((section[1], end))
     led_to = {section for following in follow.values() for section in following}
     # breadth first, from sections without a predecessor
-    queue: deque[tuple[Section, ...]] = deque((section,) for section in follow if section not in led_to)
+    queue: deque[tuple[Section, ...]] = deque(
+        (section,) for section in follow if section not in led_to
+    )
     found = 0
     while queue and found < MOST_WAYS and len(queue) < MOST_WAYS**2:
         path = queue.popleft()
@@ -284,7 +341,9 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
     # For each point of a path, the index of its lane in `Trace.lanes`.
-    others = {index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)}
+    others = {
+        index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)
+    }
     parts = np.full(len(line.x), -1)
     for number, piece in enumerate(pieces):
         points = np.flatnonzero(line.piece == number)
@@ -294,7 +353,9 @@ def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
             x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
             near, middle, bends = (x * x + y * y).argmin(axis=1), len(points) // 2, road.bends
             place = points[middle]
-            bends.locate(line.x[place], line.y[place], line.heading[place], float(near[middle]) * STEP)
+            bends.locate(
+                line.x[place], line.y[place], line.heading[place], float(near[middle]) * STEP
+            )
             parts[points] = [road.columns[bends.lane].part[int(point)] for point in near]
     return [int(part) for part in parts]
 
@@ -331,7 +392,10 @@ def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: f
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
     cos_a, sin_a, cos_b, sin_b = a.cos[i], a.sin[i], b.cos[j], b.sin[j]
     cos, sin = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_b * cos_a - cos_b * sin_a)
-    along, across = (length + length * cos + width * sin) / 2, (width + length * sin + width * cos) / 2
+    along, across = (
+        (length + length * cos + width * sin) / 2,
+        (width + length * sin + width * cos) / 2,
+    )
     along, across = along + TOUCHING, across + TOUCHING
     touches: Flags = np.abs(x * cos_a + y * sin_a) < along
     touches &= np.abs(y * cos_a - x * sin_a) < across
@@ -355,7 +419,9 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
     # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])
-        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):  # parts of the first path
+        for own in np.split(
+            known, np.flatnonzero(np.diff(known) > 1) + 1
+        ):  # parts of the first path
             belongs = run[np.isin(i[run], own)]
             if boxes_touch(a, b, (i[belongs], j[belongs]), 0.0).any():
                 yield _meeting(a, b, i[belongs], j[belongs])
@@ -364,7 +430,9 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     turned = np.abs(wrap_angle(b.heading[j] - a.heading[i]))
-    together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (np.abs(y * cos - x * sin) < ONE_LANE)
+    together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (
+        np.abs(y * cos - x * sin) < ONE_LANE
+    )
     together &= turned < ONE_DIRECTION
     nearest = int(np.argmin(x * x + y * y))
     first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
@@ -389,7 +457,9 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     return Meeting((stretches[0], stretches[1]), (int(i[nearest]), int(j[nearest])), merges)
 
 
-def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
+def _places(
+    a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float
+) -> FloatArray:
     """Return, for each point of path ``b``, the position [m] along path ``a``, or NaN.
 
     The result is NaN if the paths are at least ``beside`` [m] apart at that point, or at an angle of at least
@@ -398,8 +468,14 @@ def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: floa
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
-    fits = (aside < beside) & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
-    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest position is written last, so it remains
+    fits = (
+        (aside < beside)
+        & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned)
+        & (np.abs(ahead) <= STEP)
+    )
+    order = np.argsort(
+        -np.abs(ahead[fits]), kind="stable"
+    )  # the nearest position is written last, so it remains
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
     return places
@@ -416,7 +492,9 @@ def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
     return np.array(driven)
 
 
-def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting) -> Zone:
+def _zone(
+    name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting
+) -> Zone:
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
     origin = _origin(wrap_angle(float(line.heading[there] - road.line.heading[here])))
     kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
@@ -427,7 +505,9 @@ def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], 
         ego=met.stretches[0],
         npc=met.stretches[1],
         priority=_holder(network, (road.line, road.route), (line, lanes), met),
-        line=tuple(zip(line.x[::DRAWN].round(2).tolist(), line.y[::DRAWN].round(2).tolist(), strict=True)),
+        line=tuple(
+            zip(line.x[::DRAWN].round(2).tolist(), line.y[::DRAWN].round(2).tolist(), strict=True)
+        ),
     )
 
 
@@ -441,12 +521,17 @@ def _origin(turned: float) -> Origin:
 
 
 def _holder(
-    network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
+    network: Any,
+    ego: tuple[Line, Sequence[LaneIndex]],
+    npc: tuple[Line, Sequence[LaneIndex]],
+    met: Meeting,
 ) -> Holder:
     # Which vehicle has priority in a conflict.
     own, other = (
         _lane_before(line, lanes, point, {index[:2] for index in others})
-        for (line, lanes), (_, others), point in zip((ego, npc), (npc, ego), met.closest, strict=True)
+        for (line, lanes), (_, others), point in zip(
+            (ego, npc), (npc, ego), met.closest, strict=True
+        )
     )
     priorities = {getattr(lane, "priority", 0) for lane in network.lanes_list()}
     if len(priorities) > 1:  # if the network has highway-env's priorities, they decide
@@ -454,14 +539,21 @@ def _holder(
     else:
         # otherwise, a circulating vehicle has priority over an entering one
         mine, theirs = _circulates(network, own), _circulates(network, other)
-        if mine == theirs and met.merges:  # where lanes merge, the main lane has priority, which turns less
+        if (
+            mine == theirs and met.merges
+        ):  # where lanes merge, the main lane has priority, which turns less
             ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
-            bends = [abs(line.heading[b] - line.heading[a]) for (line, _), (a, b) in zip((ego, npc), ends, strict=True)]
+            bends = [
+                abs(line.heading[b] - line.heading[a])
+                for (line, _), (a, b) in zip((ego, npc), ends, strict=True)
+            ]
             mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
     return "none" if mine == theirs else "ego" if mine > theirs else "npc"
 
 
-def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
+def _lane_before(
+    line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]
+) -> LaneIndex:
     # The lane of a path at a point, or the last lane before that point that the other path does not share.
     number = int(line.piece[point])
     while number > 0 and lanes[number][:2] in others:

@@ -32,11 +32,17 @@ from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 
 SLOWING = 2.0  # deceleration of an NPC before a bend or the end of a lane [m/s^2]; at most a third of its limit
-SPEED_LAG = 1 / 1.5  # lag of the speed control behind a steadily falling target speed, the inverse of its gain [s]
+SPEED_LAG = (
+    1 / 1.5
+)  # lag of the speed control behind a steadily falling target speed, the inverse of its gain [s]
 
 
 def allowed_speeds(
-    curvature: FloatArray, limit: FloatArray, stops: float | None, lengths: FloatArray, limits: NpcLimits
+    curvature: FloatArray,
+    limit: FloatArray,
+    stops: float | None,
+    lengths: FloatArray,
+    limits: NpcLimits,
 ) -> FloatArray:
     """Return the highest speed [m/s] of an NPC at each point of a lane.
 
@@ -50,18 +56,24 @@ def allowed_speeds(
     if stops is not None:
         speed = np.where(lengths >= stops, 0.0, speed)
     squares, places = (speed**2).tolist(), lengths.tolist()
-    for index in range(len(squares) - 2, -1, -1):  # backwards, so that gentle braking suffices for all following points
+    for index in range(
+        len(squares) - 2, -1, -1
+    ):  # backwards, so that gentle braking suffices for all following points
         reach = squares[index + 1] + 2 * slowing * (places[index + 1] - places[index])
         squares[index] = min(squares[index], reach)
     speed = np.sqrt(squares)
-    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # the lag of the speed control
+    reached = np.searchsorted(
+        lengths, lengths + speed * SPEED_LAG, side="right"
+    )  # the lag of the speed control
     return _of_windows(np.minimum, speed, np.minimum(reached + 1, len(speed)))
 
 
 def _of_windows(extreme: np.ufunc, values: FloatArray, ends: npt.NDArray[np.intp]) -> FloatArray:
     # The smallest or largest value between each point and the end of its window.
     bounds = np.stack([np.arange(len(values)), ends], axis=-1).ravel()
-    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]  # windows may end after the last
+    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[
+        ::2
+    ]  # windows may end after the last
     return windows
 
 
@@ -71,7 +83,9 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
     # by sin(direction - heading) / (length / 2) per metre.
     lean = [0.0]
     for step, turn in zip(np.diff(lengths).tolist(), np.diff(direction).tolist(), strict=True):
-        settled = math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2))) if step > 0 else 0.0
+        settled = (
+            math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2))) if step > 0 else 0.0
+        )
         share = 1 - math.exp(-2 * step / vehicle_length)
         lean.append(lean[-1] + share * (-settled - lean[-1]))
     return np.array(lean)
@@ -79,7 +93,9 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
     """Return the largest curvature [1/m] within a given distance ahead of each point of a lane."""
-    return _of_windows(np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right"))
+    return _of_windows(
+        np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right")
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +108,12 @@ class Column:
     # Angle between the direction and a vehicle that follows the lane [rad]. In a bend, a car's heading is turned
     # inwards less than its course.
     lean: list[float]
-    speed: list[float]  # highest speed of an NPC with respect to bends, speed limits and the end of the lane [m/s]
-    sharpest: list[float]  # largest curvature within the length of a lane change ahead of the point [1/m]
+    speed: list[
+        float
+    ]  # highest speed of an NPC with respect to bends, speed limits and the end of the lane [m/s]
+    sharpest: list[
+        float
+    ]  # largest curvature within the length of a lane change ahead of the point [1/m]
     part: list[int]  # index in Trace.lanes; -1 where the lane does not exist
 
 
@@ -110,7 +130,9 @@ class NetworkRoad(Road):
     shaped: Shaped
     limits: NpcLimits  # limits of every NPC, which `columns` respect
     sections: frozenset[tuple[str, str]]  # sections of the path, as pairs of highway-env's nodes
-    route: tuple[LaneIndex, ...]  # lanes of the path in driving order; `line.piece` contains indices of this tuple
+    route: tuple[
+        LaneIndex, ...
+    ]  # lanes of the path in driving order; `line.piece` contains indices of this tuple
     others: tuple[LaneIndex, ...]  # lanes in no section of the path, which are the last of `lanes`
     line: Line
     lane_width: float  # width of the ego's lane at the start [m]
@@ -161,23 +183,38 @@ class NetworkRoad(Road):
         lean = [angle for each in columns for angle in each.lean]
         speed = [most for each in columns for most in each.speed]
         sharpest = [most for each in columns for most in each.sharpest]
-        points, widths = (line.x.tolist(), line.y.tolist(), line.heading.tolist()), [lane.width for lane in self.lanes]
-        return Bends(points, (exists, part), (across, direction, lean, speed, sharpest), widths, self.lane_width)
+        points, widths = (
+            (line.x.tolist(), line.y.tolist(), line.heading.tolist()),
+            [lane.width for lane in self.lanes],
+        )
+        return Bends(
+            points,
+            (exists, part),
+            (across, direction, lean, speed, sharpest),
+            widths,
+            self.lane_width,
+        )
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
         """Return the cells around an ego that have their centres on lanes, given the distance [m] between rows."""
-        return frozenset(cell for cell in Cell if self.has_lane(ego_lane + cell.column, along + cell.row * rows))
+        return frozenset(
+            cell for cell in Cell if self.has_lane(ego_lane + cell.column, along + cell.row * rows)
+        )
 
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
-    def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
+    def beside(
+        self, network: Any, x: float, y: float, lane: int, along: float
+    ) -> tuple[int, Outcome | None]:
         """Return the index of the lane of an ego that is on no lane of its path, and the outcome of the run.
 
         If the run continues, the outcome is None. ``lane`` is the nearest lane of the path, and ``along`` [m] is the
         position along the path.
         """
-        on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
+        on = [
+            index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))
+        ]
         # if the ego is next to its lanes, but in a section of its path, the run continues
         if any(index[:2] in self.sections for index in on):
             return self.columns[lane].part[self.bends.point(along)], None
@@ -211,7 +248,9 @@ class NetworkRoad(Road):
         bends = self.bends_of(vehicle)
         # Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and the faster it drives,
         # the faster it turns.
-        most = BEND_SHARE * self.limits.for_vehicle(vehicle).lateral_acceleration * vehicle.length / 2
+        most = (
+            BEND_SHARE * self.limits.for_vehicle(vehicle).lateral_acceleration * vehicle.length / 2
+        )
         fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
         return min(wanted, bends.speed_at(lane, along), fastest)
 
@@ -254,7 +293,10 @@ class NetworkRoad(Road):
         ego: VehicleType,
     ) -> Sensor:
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
-        zones, leaning = list(self.zones(scenario)), [*map(self.bends_of, (ego, *scenario.all_vehicles))]
+        zones, leaning = (
+            list(self.zones(scenario)),
+            [*map(self.bends_of, (ego, *scenario.all_vehicles))],
+        )
         seen = None if sight is None else (sight, scenario.seed)
         return RoadSensor(places, record, self.bends, leaning, zones, common, *rates, seen)
 
@@ -264,12 +306,17 @@ class NetworkRoad(Road):
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
-        own_lanes = len(self.lanes) - len(self.others)  # NPCs on the grid drive only on the path's own lanes
+        own_lanes = len(self.lanes) - len(
+            self.others
+        )  # NPCs on the grid drive only on the path's own lanes
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
         return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
 
     def _meeting(self, section: tuple[str, str], lane: Lane) -> Meeting | None:
-        nodes, ends = {node for each in self.sections for node in each}, {end for _, end in self.sections}
+        nodes, ends = (
+            {node for each in self.sections for node in each},
+            {end for _, end in self.sections},
+        )
         is_turned = section[::-1] in self.sections
         if section[1] in ends:
             return "joins"
@@ -277,7 +324,8 @@ class NetworkRoad(Road):
             return None
         places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length)))
         straight = np.stack(
-            [lane.x + math.cos(lane.heading) * places, lane.y + math.sin(lane.heading) * places], axis=-1
+            [lane.x + math.cos(lane.heading) * places, lane.y + math.sin(lane.heading) * places],
+            axis=-1,
         )
         points = np.array(lane.points) if lane.points else straight
         apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
@@ -297,9 +345,15 @@ Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
 """The distance [m] between neighbouring points of a line."""
-WIDEST_GAP = 10.0  # largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
-SHARPEST_BEND = 1.3  # largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
-DECIDED_BEFORE = 2.5  # distance before a lane's end at which highway-env's vehicles choose the next lane [m]
+WIDEST_GAP = (
+    10.0  # largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
+)
+SHARPEST_BEND = (
+    1.3  # largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
+)
+DECIDED_BEFORE = (
+    2.5  # distance before a lane's end at which highway-env's vehicles choose the next lane [m]
+)
 # angle between neighbouring points above which the joint of two lanes is rounded off [rad]; no vehicle can follow it
 ROUGH = 0.06
 BLEND = 3.0  # length scale over which the joint of two lanes is rounded off, on either side [m]
@@ -329,7 +383,13 @@ class Line:
 
 
 def way(
-    network: Any, start: LaneIndex, at: float, planned: Sequence[Any] | None, *, ahead: float, behind: float
+    network: Any,
+    start: LaneIndex,
+    at: float,
+    planned: Sequence[Any] | None,
+    *,
+    ahead: float,
+    behind: float,
 ) -> tuple[tuple[Piece, ...], int]:
     """Return the pieces of the ego's path in driving order, and the index of the piece in which the ego starts.
 
@@ -363,7 +423,9 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     found: list[tuple[float, Piece]] = []
     for end in ends:
         wanted = route[0][2] if is_planned else None
-        chosen, distance = network.next_lane_given_next_road(origin, node, number, end, wanted, deciding)
+        chosen, distance = network.next_lane_given_next_road(
+            origin, node, number, end, wanted, deciding
+        )
         lane = network.get_lane((node, end, chosen))
         begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), float(lane.length))
         piece = Piece((node, end, chosen), lane, begin, float(lane.length))
@@ -381,14 +443,24 @@ def _predecessor(network: Any, piece: Piece) -> Piece | None:
     """Return the nearest piece from which a vehicle can drive to ``piece``."""
     point = np.asarray(piece.lane.position(0, 0))
     lanes = network.lanes_dict().items()
-    leading = (Piece(index, lane, 0.0, float(lane.length)) for index, lane in lanes if index[1] == piece.index[0])
+    leading = (
+        Piece(index, lane, 0.0, float(lane.length))
+        for index, lane in lanes
+        if index[1] == piece.index[0]
+    )
     found = [each for each in leading if each.end > STEP and is_drivable(each, piece)]
-    return min(found, key=lambda each: np.linalg.norm(each.lane.position(each.end, 0) - point), default=None)
+    return min(
+        found,
+        key=lambda each: np.linalg.norm(each.lane.position(each.end, 0) - point),
+        default=None,
+    )
 
 
 def is_drivable(last: Piece, piece: Piece) -> bool:
     """Return whether a vehicle can drive from the end of one piece to the start of the next."""
-    step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(last.lane.position(last.end, 0))
+    step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(
+        last.lane.position(last.end, 0)
+    )
     heading = float(last.lane.heading_at(last.end))
     turn = wrap_angle(float(piece.lane.heading_at(piece.begin)) - heading)
     sideways = abs(step[1] * math.cos(heading + turn / 2) - step[0] * math.sin(heading + turn / 2))
@@ -418,7 +490,9 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
         count = max(2, math.ceil((piece.end - piece.begin) / STEP) + 1)
         for longitudinal in np.linspace(piece.begin, piece.end, count).tolist():
             x, y = map(float, piece.lane.position(longitudinal, 0))
-            if rows and math.dist((x, y), rows[-1]) < STEP / 10:  # the last piece ends where this one begins
+            if (
+                rows and math.dist((x, y), rows[-1]) < STEP / 10
+            ):  # the last piece ends where this one begins
                 owners[-1] = number
             else:
                 rows.append((x, y))
@@ -440,7 +514,9 @@ def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
     ends = points[0] - (points[1] - points[0]) * np.arange(reach, 0, -1)[:, None]
     beyond = points[-1] + (points[-1] - points[-2]) * np.arange(1, reach + 1)[:, None]
     padded = np.concatenate([ends, points, beyond])
-    smooth = np.stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=-1)
+    smooth = np.stack(
+        [np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=-1
+    )
     places = np.arange(len(points))
     share = np.zeros(len(points))
     for joint in joints:

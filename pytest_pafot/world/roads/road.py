@@ -192,7 +192,10 @@ class StraightRoad(Road):
 
     def __post_init__(self) -> None:
         first, count = self.lanes[0], len(self.lanes)
-        cells = tuple(frozenset(cell for cell in Cell if 0 <= lane + cell.column < count) for lane in range(count))
+        cells = tuple(
+            frozenset(cell for cell in Cell if 0 <= lane + cell.column < count)
+            for lane in range(count)
+        )
         self.__dict__.update(  # the class is frozen and does not allow assignments
             lane_width=first.width,
             speed_limit=max(lane.speed_limit for lane in self.lanes),
@@ -202,11 +205,20 @@ class StraightRoad(Road):
         )
 
     @classmethod
-    def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:
+    def uniform(
+        cls, lanes: int, length: float, lane_width: float, speed_limit: float
+    ) -> StraightRoad:
         """Create a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
         return cls(
             tuple(
-                Lane(x=0.0, y=k * lane_width, heading=0.0, length=length, width=lane_width, speed_limit=speed_limit)
+                Lane(
+                    x=0.0,
+                    y=k * lane_width,
+                    heading=0.0,
+                    length=length,
+                    width=lane_width,
+                    speed_limit=speed_limit,
+                )
                 for k in range(lanes)
             )
         )
@@ -253,8 +265,12 @@ class StraightRoad(Road):
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
         return self._cells[lane]
 
-    def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
-        return Director(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
+    def director(
+        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+    ) -> Director:
+        return Director(
+            scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common
+        )
 
     def places(
         self,

@@ -33,13 +33,19 @@ from pytest_pafot.world.roads.network import (
 from pytest_pafot.world.roads.network import way as way_of
 
 SHORTEST_LANE = 10.0  # length below which the grid ignores a lane next to the path [m]
-BEYOND_ENDS = 0.5  # distance past a lane's ends within which the lane still counts as next to the path [m]
+BEYOND_ENDS = (
+    0.5  # distance past a lane's ends within which the lane still counts as next to the path [m]
+)
 SAME_DIRECTION = 0.5  # largest angle between two lanes in the same direction [rad]
 SAME_LANE = 1.0  # largest sideways step between neighbouring points of a continuous lane [m]
-BRIDGED = 10.0  # longest interruption of a lane that is bridged, for example between two sections [m]
+BRIDGED = (
+    10.0  # longest interruption of a lane that is bridged, for example between two sections [m]
+)
 EVENED = 2.0  # length scale over which sideways steps of a lane are rounded off [m]
 LANE_CHANGE = 25.0  # length of a lane change at the speeds at which bends matter [m]
-STOP_BEFORE_END = CAR.length / 2 + 1.5  # distance of a car's centre from the end of its lane when it stops there [m]
+STOP_BEFORE_END = (
+    CAR.length / 2 + 1.5
+)  # distance of a car's centre from the end of its lane when it stops there [m]
 POINT_STEP = 2.0  # distance between the points of a lane in a trace [m]
 ROOM_BEHIND = 150.0  # length of the path behind the ego's start [m]
 
@@ -64,9 +70,13 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     """
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
-    pieces, first = way_of(network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND)
+    pieces, first = way_of(
+        network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND
+    )
     line, speed = line_of(pieces), float(ego.speed)
-    strips = _strips(network, pieces, line, speed)  # the line is the ego's path, and the strips are the lanes along it
+    strips = _strips(
+        network, pieces, line, speed
+    )  # the line is the ego's path, and the strips are the lanes along it
     curvature = curvature_of(line)
     worst = int(np.abs(curvature).argmax())
     if abs(curvature[worst]) > TIGHTEST:
@@ -82,7 +92,9 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     shaped = partial(_columns, line, strips, is_dead_end=is_dead_end(network, pieces[-1]))
     columns, lanes = shaped(limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
-    others = {index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections}
+    others = {
+        index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections
+    }
     road = NetworkRoad(
         lanes=(*lanes, *(_other_lane(lane, speed) for lane in others.values())),
         columns=columns,
@@ -131,18 +143,26 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 def _place(line: Line, piece: int, point: FloatArray) -> float:
     # The position [m] along the line of a point on one of the line's pieces.
     # A large additional distance excludes points of other pieces.
-    distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
+    distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(
+        line.piece == piece, 0.0, 1e6
+    )
     near = int(distance.argmin())
     heading = line.heading[near]
-    ahead = (point[0] - line.x[near]) * math.cos(heading) + (point[1] - line.y[near]) * math.sin(heading)
+    ahead = (point[0] - line.x[near]) * math.cos(heading) + (point[1] - line.y[near]) * math.sin(
+        heading
+    )
     return min(max(near * STEP + float(ahead), 0.0), (len(line.x) - 1) * STEP)
 
 
-def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
+def _strips(
+    network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float
+) -> dict[int, _Strip]:
     """Return the lanes along the ego's path by number. The ego's lane is 0, and lanes to its left are negative."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
-        for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
+        for number, (across, lane, longitudinal) in _beside(
+            network, pieces[owner], line, point
+        ).items():
             if number not in strips:
                 strips[number] = _Strip(len(line.x))
             strip = strips[number]
@@ -157,7 +177,9 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
     return {number: strip for number, strip in strips.items() if strip.exists.any()}
 
 
-def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
+def _beside(
+    network: Any, piece: Piece, line: Line, point: int
+) -> dict[int, tuple[float, Any, float]]:
     # By number, for each lane at a point of the line: the lateral distance, the lane and the position along the lane.
     x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
     place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
@@ -168,14 +190,20 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
         reaches = -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS
         if number == own:
             found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
-        elif reaches and abs(wrap_angle(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION:
+        elif (
+            reaches
+            and abs(wrap_angle(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION
+        ):
             there_x, there_y = map(float, lane.position(longitudinal, 0))
             found.append(((there_y - y) * cos - (there_x - x) * sin, False, lane, longitudinal))
     if len(found) == 1:
         return {0: (0.0, found[0][2], found[0][3])}
     found.sort(key=lambda each: each[0])  # from the left, with the ego's lane as number 0
     own_rank = next(rank for rank, each in enumerate(found) if each[1])
-    return {rank - own_rank: (across, lane, at) for rank, (across, _, lane, at) in _neighbours(found, own_rank)}
+    return {
+        rank - own_rank: (across, lane, at)
+        for rank, (across, _, lane, at) in _neighbours(found, own_rank)
+    }
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
@@ -184,7 +212,13 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
             apart = abs(found[rank][0] - found[before][0])
-            width = float(found[rank][2].width_at(found[rank][3]) + found[before][2].width_at(found[before][3])) / 2
+            width = (
+                float(
+                    found[rank][2].width_at(found[rank][3])
+                    + found[before][2].width_at(found[before][3])
+                )
+                / 2
+            )
             if not 0.6 * width < apart < 1.5 * width:  # the lanes overlap or are separated
                 break
             yield rank, found[rank]
@@ -196,7 +230,9 @@ def _bridge(strip: _Strip) -> None:
         is_near = (following - last) * STEP <= BRIDGED
         if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
             between = np.arange(last + 1, following)
-            strip.across[between] = np.interp(between, [last, following], strip.across[[last, following]])
+            strip.across[between] = np.interp(
+                between, [last, following], strip.across[[last, following]]
+            )
             strip.limit[between], strip.width[between] = strip.limit[last], strip.width[last]
             strip.exists[between] = True
 
@@ -213,7 +249,9 @@ def _drop_broken(strip: _Strip, line: Line) -> None:
     # cut the lane at steps that were too large to bridge or to round off
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
-        is_short = len(part) * STEP < SHORTEST_LANE  # parts that are too short or too sharply curved are dropped
+        is_short = (
+            len(part) * STEP < SHORTEST_LANE
+        )  # parts that are too short or too sharply curved are dropped
         if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
             strip.exists[part] = False
 
@@ -289,9 +327,22 @@ def _columns(
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
             # NPCs stop where a lane ends before the line ends, and where the ego's lane is a dead end.
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
-            stops = None if goes_on else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
-            column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
-            lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
+            stops = (
+                None
+                if goes_on
+                else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
+            )
+            column["speed"][part] = allowed_speeds(
+                curvature, strip.limit[part], stops, lengths, limits
+            )
+            lane = _lane(
+                x,
+                y,
+                direction,
+                lengths,
+                float(strip.width[part].mean()),
+                float(strip.limit[part].max()),
+            )
             # in the trace, the first parts of all lanes come first
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
             (others if order else firsts).append(lane)
@@ -306,7 +357,12 @@ def _columns(
 
 
 def _lane(
-    x: FloatArray, y: FloatArray, direction: FloatArray, lengths: FloatArray, width: float, speed_limit: float
+    x: FloatArray,
+    y: FloatArray,
+    direction: FloatArray,
+    lengths: FloatArray,
+    width: float,
+    speed_limit: float,
 ) -> Lane:
     rows = sorted({*range(0, len(x), round(POINT_STEP / STEP)), len(x) - 1})
     is_straight = bool(np.abs(direction - direction[0]).max() < 1e-9)
@@ -327,16 +383,22 @@ def _other_lane(lane: Any, ego_speed: float) -> Lane:
     direction = np.unwrap([float(lane.heading_at(float(place))) for place in places])
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     limit = max(lane.speed_limit or 0.0, ego_speed)
-    return _lane(points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit)
+    return _lane(
+        points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit
+    )
 
 
 SECTION = 5.0  # length of the sections that `network_of` makes [m]
 ALMOST = 1e-4  # largest distance of a point of a straight lane from its exact position [m]
 MOST_OVERLAP = 0.1  # largest overlap of neighbouring lanes as a proportion of their width
-STRAIGHT = 1e-7  # angle between the ends of a section up to which a lane counts as straight there [rad]
+STRAIGHT = (
+    1e-7  # angle between the ends of a section up to which a lane counts as straight there [rad]
+)
 
 
-def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[float, float, float], float] | None:
+def straight_along(
+    lines: Sequence[FloatArray], width: float
+) -> tuple[tuple[float, float, float], float] | None:
     """Return the start and the length [m] of a road with equal straight lanes, or None for other lanes.
 
     The start consists of the x [m], y [m] and heading [rad] of the leftmost lane.
@@ -362,7 +424,9 @@ def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[flo
     return (float(x), float(y), heading), end - begin
 
 
-def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = "") -> Any:
+def network_of(
+    lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = ""
+) -> Any:
     """Create a highway-env network with a lane along each centre line.
 
     ``lines`` are as for :func:`straight_along`, but can have different lengths. Error messages give ``name`` as the
@@ -375,12 +439,16 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, na
 
     curves = [_curve(line) for line in lines]
     longest = max(curves, key=len)
-    stations = longest[:: max(1, round(SECTION))]  # the ends of sections, at the same positions for all lanes
+    stations = longest[
+        :: max(1, round(SECTION))
+    ]  # the ends of sections, at the same positions for all lanes
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
     tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
     tangent /= np.hypot(*tangent.T)[:, None]
-    reach = 2.0 * width * len(lines)  # farther points belong to another turn of a spiral, or to a loop's other side
+    reach = (
+        2.0 * width * len(lines)
+    )  # farther points belong to another turn of a spiral, or to a loop's other side
     ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
     _check_order(ways, tangent, width, name)
     turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
@@ -412,30 +480,45 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
         across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
         if np.isnan(across).all():
             continue
-        apart, least, most = float(np.nanmedian(across)), float(np.nanmin(across)), float(np.nanmax(across))
+        apart, least, most = (
+            float(np.nanmedian(across)),
+            float(np.nanmin(across)),
+            float(np.nanmax(across)),
+        )
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
-            expected = f"a lane {width:g} m to the right of lanes[{number - 1}] along its entire length"
+            expected = (
+                f"a lane {width:g} m to the right of lanes[{number - 1}] along its entire length"
+            )
             received = f"a lane that is {least:.1f} to {most:.1f} m to the right"
             fix = "are the lines shifted along a coordinate axis instead of across the road?"
-            raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
+            raise WorldError(
+                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+            )
         if apart < 0.0:
             expected = "lanes in order from left to right, as a driver sees them"
             received = f"a lane {-apart:.1f} m to the left of the previous lane"
             fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, reverse the list of lanes"
-            raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
+            raise WorldError(
+                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+            )
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
-                f"at most {apart:.2f} m, the distance between the centre lines of lanes {number - 1} and {number}"
+                f"at most {apart:.2f} m, the distance between the centre lines of lanes "
+                f"{number - 1} and {number}"
             )
             fix = "are lane_width and the points of the lanes in the unit that `metres` specifies?"
-            raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix)
+            raise WorldError(
+                field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix
+            )
 
 
 def _slopes(way: FloatArray) -> FloatArray:
     # The tangent vector of a lane at each point.
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    if len(known) > 1:  # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
+    if (
+        len(known) > 1
+    ):  # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
         slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
     slopes[np.isnan(slopes)] = 0.0
     return slopes
@@ -460,7 +543,9 @@ def _curve(line: FloatArray) -> FloatArray:
     return curve
 
 
-def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
+def _at_stations(
+    curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float
+) -> FloatArray:
     """Return, for each station, the nearest point of a curve on either side, or NaN if there is none nearby."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):

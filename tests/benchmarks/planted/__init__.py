@@ -10,11 +10,22 @@ from collections.abc import Mapping
 from itertools import chain
 from types import MappingProxyType
 
-from tests.benchmarks.planted import changing, keeping, learned, merging, predicting, sampling, tabled, vehicles
+from tests.benchmarks.planted import (
+    changing,
+    keeping,
+    learned,
+    merging,
+    predicting,
+    sampling,
+    tabled,
+    vehicles,
+)
 from tests.benchmarks.planted.policy import Planted
 
 __all__ = ["PLANTED", "Planted"]
 
 KINDS = (keeping, changing, sampling, tabled, learned, vehicles, predicting, merging)
-PLANTED: Mapping[str, Planted] = MappingProxyType(dict(chain.from_iterable(kind.PLANTED.items() for kind in KINDS)))
+PLANTED: Mapping[str, Planted] = MappingProxyType(
+    dict(chain.from_iterable(kind.PLANTED.items() for kind in KINDS))
+)
 """The policies by name."""

@@ -86,7 +86,9 @@ class GippsBased:
     def law(self, e, g, v):
         b, tau = 4.0, self.HEADWAY
         room = 2 * b * max(g - 3 - 0.5 * tau * e.speed, 0)
-        return (-b * tau / 2 + math.sqrt((b * tau / 2) ** 2 + max(v, 0) ** 2 + room) - e.speed) / 0.8
+        return (
+            -b * tau / 2 + math.sqrt((b * tau / 2) ** 2 + max(v, 0) ** 2 + room) - e.speed
+        ) / 0.8
 
     def need(self, o, s):
         """Return the deceleration needed now if the other continues as before."""
@@ -148,7 +150,11 @@ class GippsBased:
     def wants(self, o, seen):
         """Return the lanes that it would prefer, best first."""
         own = self.pace(o, self.lane, seen)
-        c = [k for k in (self.lane + 1, self.lane - 1) if 0 <= k < o.lanes and self.pace(o, k, seen) > own + self.GAIN]
+        c = [
+            k
+            for k in (self.lane + 1, self.lane - 1)
+            if 0 <= k < o.lanes and self.pace(o, k, seen) > own + self.GAIN
+        ]
         right = self.lane + 1
         goes_back = not c and o.time - self.changed > self.LOSS and right < o.lanes
         return [right] if goes_back and self.pace(o, right, seen) >= own else c
@@ -161,7 +167,12 @@ class GippsBased:
             elif abs(e.y - self.old * o.lane_width) < 0.9 and not self.free(o, self.lane, seen):
                 self.lane, self.old, self.rest = self.old, None, o.time + 2.0
             return
-        if o.time < self.rest or o.time - self.changed < 4 or e.speed < 11 or abs(e.y - self.lane * o.lane_width) > 0.4:
+        if (
+            o.time < self.rest
+            or o.time - self.changed < 4
+            or e.speed < 11
+            or abs(e.y - self.lane * o.lane_width) > 0.4
+        ):
             return
         for k in self.wants(o, seen):
             if self.free(o, k, seen):
@@ -195,7 +206,11 @@ class SecondLane(GippsBased):
         if self.repaired:
             return near
         both = [(k, k + k - self.lane) for k in near]
-        far = [m for k, m in both if 0 <= m < o.lanes and self.pace(o, m, seen) >= self.pace(o, k, seen)]
+        far = [
+            m
+            for k, m in both
+            if 0 <= m < o.lanes and self.pace(o, m, seen) >= self.pace(o, k, seen)
+        ]
         return far + near
 
     def free(self, o, k, seen):
@@ -232,4 +247,6 @@ class OutOfQueue(Changer):
         return super().room(v, c)
 
 
-PLANTED = listed("changing", {"out-of-queue": (OutOfQueue, 3), "second-lane-unchecked": (SecondLane, 2)})
+PLANTED = listed(
+    "changing", {"out-of-queue": (OutOfQueue, 3), "second-lane-unchecked": (SecondLane, 2)}
+)

@@ -60,4 +60,6 @@ class Clutter(Keeper):
         return leaders if self.repaired else [c for c in leaders if c.i in self.moving]
 
 
-PLANTED = listed("keeping", {"hand-over-from-nothing": (HandOver, 1), "standing-is-clutter": (Clutter, 2)})
+PLANTED = listed(
+    "keeping", {"hand-over-from-nothing": (HandOver, 1), "standing-is-clutter": (Clutter, 2)}
+)

@@ -28,7 +28,10 @@ FAR = 70.0  # the largest gap in the networks' data [m]
 def network(name):
     """Return the layers of a network: weights and biases, from the input on."""
     with np.load(WEIGHTS, allow_pickle=False) as arrays:
-        return tuple((arrays[f"{name}_w{n}"].astype(float), arrays[f"{name}_b{n}"].astype(float)) for n in range(3))
+        return tuple(
+            (arrays[f"{name}_w{n}"].astype(float), arrays[f"{name}_b{n}"].astype(float))
+            for n in range(3)
+        )
 
 
 def outputs(layers, inputs):

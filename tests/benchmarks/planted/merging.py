@@ -15,7 +15,9 @@ class Overtaker(Driver):
 
     def along(self, o, cars):
         v, leaders = o.ego.speed, self.ahead(o, cars)
-        return min([self.cruise(o)] + [min(self.behind(v, c), self.emergency(v, c)) for c in leaders])
+        return min(
+            [self.cruise(o)] + [min(self.behind(v, c), self.emergency(v, c)) for c in leaders]
+        )
 
     def emergency(self, v, c):
         needed = braking_needed(v, c)
@@ -23,7 +25,11 @@ class Overtaker(Driver):
 
     def options(self, o, cars):
         wanted, own = self.SHARE * o.speed_limit, self.flow(o, cars, self.lane)
-        if own < wanted - self.WORTH and self.lane > 0 and self.flow(o, cars, self.lane - 1) > own + 2.0:
+        if (
+            own < wanted - self.WORTH
+            and self.lane > 0
+            and self.flow(o, cars, self.lane - 1) > own + 2.0
+        ):
             return [self.lane - 1]
         right = self.lane + 1
         goes_back = right < o.lanes and o.time > self.arrived + self.BACK
@@ -75,7 +81,9 @@ class RememberedSpeed(Overtaker):
         old = self.old
         super().lanes(o, cars)
         if old is None and self.old is not None and self.lane < self.old:
-            self.measured = {c.i: c.v for c in cars if abs(c.y - self.old * WIDE) < 2.0 and c.dx > 0}
+            self.measured = {
+                c.i: c.v for c in cars if abs(c.y - self.old * WIDE) < 2.0 and c.dx > 0
+            }
 
     def room(self, v, c):
         if c.dx > 0:
@@ -85,4 +93,6 @@ class RememberedSpeed(Overtaker):
         return c.gap > self.NEAREST + self.TIME * f + 4 * closing + closing * closing / 4
 
 
-PLANTED = listed("merging", {"still-passed": (StillPassed, 2), "remembered-speed": (RememberedSpeed, 3)})
+PLANTED = listed(
+    "merging", {"still-passed": (StillPassed, 2), "remembered-speed": (RememberedSpeed, 3)}
+)

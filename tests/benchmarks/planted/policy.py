@@ -33,7 +33,9 @@ class Planted:
 def listed(kind: str, policies: Mapping[str, tuple[Any, int]]) -> dict[str, Planted]:
     """Return the policies of planner classes by name; each class takes ``repaired`` and has a number of conditions."""
     return {
-        name: Planted(kind, conditions, partial(partial, planner), partial(partial, planner, repaired=True))
+        name: Planted(
+            kind, conditions, partial(partial, planner), partial(partial, planner, repaired=True)
+        )
         for name, (planner, conditions) in policies.items()
     }
 
@@ -49,7 +51,14 @@ class Car:
 
     def __init__(self, i, s, e, a):
         sin, cos = math.sin(s.heading), math.cos(s.heading)
-        self.i, self.dx, self.y, self.v, self.w, self.a = i, s.x - e.x, s.y, s.speed * cos, s.speed * sin, a
+        self.i, self.dx, self.y, self.v, self.w, self.a = (
+            i,
+            s.x - e.x,
+            s.y,
+            s.speed * cos,
+            s.speed * sin,
+            a,
+        )
         self.gap, self.turned = abs(self.dx) - (s.length + e.length) / 2, s.heading
         self.reach = (s.length * abs(sin) + s.width * cos) / 2
 
@@ -99,12 +108,17 @@ class Driver:
 
     def flow(self, o, cars, k):
         """Return the speed that lane k promises."""
-        return min([self.SHARE * o.speed_limit] + [c.v for c in cars if 0 < c.dx < 90 and abs(c.y - k * WIDE) < 2.2])
+        return min(
+            [self.SHARE * o.speed_limit]
+            + [c.v for c in cars if 0 < c.dx < 90 and abs(c.y - k * WIDE) < 2.2]
+        )
 
     def options(self, o, cars):
         """Return the lanes that it would prefer, best first."""
         own = self.flow(o, cars, self.lane) + 2.0
-        flows = [(self.flow(o, cars, k), k) for k in (self.lane - 1, self.lane + 1) if 0 <= k < o.lanes]
+        flows = [
+            (self.flow(o, cars, k), k) for k in (self.lane - 1, self.lane + 1) if 0 <= k < o.lanes
+        ]
         return [k for f, k in sorted(flows, reverse=True) if f > own]
 
     def lanes(self, o, cars):
@@ -131,7 +145,11 @@ class Driver:
 
     def behind(self, v, c):
         """Approach the speed from which it could stop behind the other."""
-        f, room, late = max(c.v + 0.4 * min(c.a, 0.0), 0.0), max(c.gap - 3.0, 0.0), self.BRAKE * self.ANSWER
+        f, room, late = (
+            max(c.v + 0.4 * min(c.a, 0.0), 0.0),
+            max(c.gap - 3.0, 0.0),
+            self.BRAKE * self.ANSWER,
+        )
         safe = math.sqrt(late * late + 2 * self.BRAKE * room + f * f) - late
         return clip((safe - v) / 0.9, -4.0, 2.0)
 
@@ -156,6 +174,8 @@ def braking_needed(v, c):
     """Return the deceleration that another vehicle in the way requires [m/s^2]; v is the own speed."""
     f, room = max(c.v, 0.0), max(c.gap - 2.0, 0.3)
     needed = (v - f) ** 2 / (2 * room) if v > f else 0.0
-    if c.a < -1.0 or (room < 0.9 * v and v > f - 2.0):  # it brakes, or is so near that its hardest braking counts
+    if c.a < -1.0 or (
+        room < 0.9 * v and v > f - 2.0
+    ):  # it brakes, or is so near that its hardest braking counts
         needed = max(needed, v * v / (2 * max(room + f * f / 15 - 0.4 * v, 0.5)))
     return needed

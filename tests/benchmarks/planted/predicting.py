@@ -49,7 +49,10 @@ class LowerRoot(Predictor):
     while the vehicle ahead brakes, which makes the lower root negative, the ego only brakes gently.
     """
 
-    ENDS, GENTLE = 7.0, 3.0  # time to a collision that matters [s]; braking for what does not collide [m/s^2]
+    ENDS, GENTLE = (
+        7.0,
+        3.0,
+    )  # time to a collision that matters [s]; braking for what does not collide [m/s^2]
 
     def behind(self, v, c):
         return max(super().behind(v, c), -self.GENTLE)
@@ -116,9 +119,16 @@ class FlickerHeld(Predictor):
                 del self.comes[c.i]
                 if c.i not in inside and o.time - began < self.SHORT:
                     self.held[c.i] = o.time + self.HOLDS
-        return leaders if self.repaired else [c for c in leaders if o.time >= self.held.get(c.i, 0.0)]
+        return (
+            leaders if self.repaired else [c for c in leaders if o.time >= self.held.get(c.i, 0.0)]
+        )
 
 
 PLANTED = listed(
-    "predicting", {"lower-root": (LowerRoot, 1), "outlier-gate": (OutlierGate, 1), "flicker-held": (FlickerHeld, 2)}
+    "predicting",
+    {
+        "lower-root": (LowerRoot, 1),
+        "outlier-gate": (OutlierGate, 1),
+        "flicker-held": (FlickerHeld, 2),
+    },
 )

@@ -47,9 +47,17 @@ class Sampler(Driver):
         rooms = {}
         for k in (self.lane, self.lane - 1, self.lane + 1):
             if 0 <= k < o.lanes:
-                here = [c.gap + 2 * (c.v - o.ego.speed) for c in cars if c.dx > 0 and abs(c.y - k * WIDE) < 2.2]
+                here = [
+                    c.gap + 2 * (c.v - o.ego.speed)
+                    for c in cars
+                    if c.dx > 0 and abs(c.y - k * WIDE) < 2.2
+                ]
                 rooms[k] = min([*here, 100.0])
-        return [k for k in sorted(rooms, key=rooms.get, reverse=True) if rooms[k] > rooms[self.lane] + 15]
+        return [
+            k
+            for k in sorted(rooms, key=rooms.get, reverse=True)
+            if rooms[k] > rooms[self.lane] + 15
+        ]
 
     def clear(self, o, cars, k):
         return all(self.fits(o.ego.speed, c) for c in cars if self.inside(c, k))
@@ -63,7 +71,11 @@ class Sampler(Driver):
         return True
 
     def margin(self, v, c, t):
-        return 9 + 1.2 * v + 0.05 * max(v - c.v, 0.0) ** 2 if c.dx > 0 else 3 + t * (2.5 + 0.27 * max(v, c.v))
+        return (
+            9 + 1.2 * v + 0.05 * max(v - c.v, 0.0) ** 2
+            if c.dx > 0
+            else 3 + t * (2.5 + 0.27 * max(v, c.v))
+        )
 
 
 class NoneFeasible(Sampler):
@@ -97,7 +109,9 @@ class FrozenList(Sampler):
         if self.old is None and o.time > self.arrived + self.SETTLES:
             self.listed = None
             return super().ahead(o, cars)
-        if self.listed is None and self.old is None:  # settling after a change that was given up at once
+        if (
+            self.listed is None and self.old is None
+        ):  # settling after a change that was given up at once
             return super().ahead(o, cars)
         if self.listed is None:
             near = (min(self.old, self.lane) * WIDE - 2.2, max(self.old, self.lane) * WIDE + 2.2)

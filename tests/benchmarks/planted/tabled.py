@@ -8,7 +8,23 @@ from types import SimpleNamespace
 
 from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
 
-SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 30.0)  # own speed
+SPEEDS = (
+    0.0,
+    0.5,
+    1.0,
+    2.0,
+    3.0,
+    4.5,
+    6.0,
+    9.0,
+    12.0,
+    15.0,
+    18.0,
+    21.0,
+    24.0,
+    27.0,
+    30.0,
+)  # own speed
 GAPS = (*range(0, 40, 2), *range(40, 101, 5))
 CLOSINGS = (-8.0, -4.5, -3.0, -1.5, -0.5, 0.0, 0.5, *(1.5 * step for step in range(1, 15)))
 FAR = 2.0  # acceleration if no vehicle is near
@@ -39,7 +55,9 @@ class Tabled(Driver):
 
     def along(self, o, cars):
         near = self.ahead(o, cars)
-        return self.by_state(o, near, min([self.cruise(o)] + [self.look_up(o.ego.speed, c) for c in near]))
+        return self.by_state(
+            o, near, min([self.cruise(o)] + [self.look_up(o.ego.speed, c) for c in near])
+        )
 
     def by_state(self, o, near, a):
         """Hold the car where it has stopped close behind a vehicle."""
@@ -52,8 +70,15 @@ class Tabled(Driver):
             return found
         slow = self.flow(o, cars, self.lane) < self.SHARE * o.speed_limit - 2
         if slow:
-            return [k for k in (self.lane - 1,) if k >= 0 and self.flow(o, cars, k) > self.flow(o, cars, self.lane) + 2]
-        if self.lane < self.home and self.flow(o, cars, self.lane + 1) > self.SHARE * o.speed_limit - 1:
+            return [
+                k
+                for k in (self.lane - 1,)
+                if k >= 0 and self.flow(o, cars, k) > self.flow(o, cars, self.lane) + 2
+            ]
+        if (
+            self.lane < self.home
+            and self.flow(o, cars, self.lane + 1) > self.SHARE * o.speed_limit - 1
+        ):
             return [self.lane + 1]
         return []
 
@@ -66,7 +91,11 @@ class Tabled(Driver):
 
     def look_up(self, v, c):
         closing = v - c.v - 0.7 * min(c.a, 0.0)  # the closing speed soon
-        i, j, k = bisect_right(SPEEDS, v) - 1, bisect_right(GAPS, c.gap) - 1, bisect_right(CLOSINGS, closing) - 1
+        i, j, k = (
+            bisect_right(SPEEDS, v) - 1,
+            bisect_right(GAPS, c.gap) - 1,
+            bisect_right(CLOSINGS, closing) - 1,
+        )
         return self.value(max(i, 0), max(j, 0), max(k, 0))
 
     def value(self, i, j, k):
@@ -95,7 +124,10 @@ class PullsAway(Tabled):
     def along(self, o, cars):
         v = o.ego.speed
         if v < 0.4:
-            self.until, self.behind = o.time + self.SECONDS, {c.i for c in self.ahead(o, cars) if c.gap < 9.0}
+            self.until, self.behind = (
+                o.time + self.SECONDS,
+                {c.i for c in self.ahead(o, cars) if c.gap < 9.0},
+            )
         return super().along(o, cars)
 
     def ahead(self, o, cars):

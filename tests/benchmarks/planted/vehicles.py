@@ -29,7 +29,10 @@ class Pilot(ControlledVehicle):
 
     repaired = False
     SHARE = 0.97  # of the speed limit
-    GAIN, REST = 0.4, 4.0  # the acceleration gain that is worth a lane change; the time between two of them [s]
+    GAIN, REST = (
+        0.4,
+        4.0,
+    )  # the acceleration gain that is worth a lane change; the time between two of them [s]
 
     def __init__(self, road, position, heading=0.0, speed=0.0, **options):
         super().__init__(road, position, heading, speed, **options)
@@ -50,7 +53,10 @@ class Pilot(ControlledVehicle):
             self.clock += PERIOD
         self.ticks += 1
         self.target_lane_index = (*self.lane_index[:2], self.wanted)
-        self.action = {"acceleration": max(self.asked, -4.0 * max(self.speed, 0.0)), "steering": self.steering()}
+        self.action = {
+            "acceleration": max(self.asked, -4.0 * max(self.speed, 0.0)),
+            "steering": self.steering(),
+        }
 
     def steering(self):
         v = max(self.speed, 4.0)
@@ -101,7 +107,9 @@ class Pilot(ControlledVehicle):
         if self.wanted != self.origin:
             if aside < 0.4:
                 self.origin, self.rest = self.wanted, self.clock + self.REST
-            elif abs(float(self.position[1]) - self.origin * WIDE) < 0.9 and not self.clear(others, self.wanted):
+            elif abs(float(self.position[1]) - self.origin * WIDE) < 0.9 and not self.clear(
+                others, self.wanted
+            ):
                 self.wanted, self.rest = self.origin, self.clock + 3.0
         elif self.clock > self.rest and aside < 0.4 and self.speed > 8.0:
             own = self.promise(others, self.wanted) + self.GAIN
@@ -120,7 +128,9 @@ class Pilot(ControlledVehicle):
 
     def concerns(self, c, k):
         coming = min(abs(c.y - k * WIDE), abs(c.y + 2.0 * c.w - k * WIDE)) < 2.9
-        beyond = abs(c.y - k * WIDE) < 7.0 and abs(c.y - float(self.position[1])) > 5.0 and c.gap < 15.0
+        beyond = (
+            abs(c.y - k * WIDE) < 7.0 and abs(c.y - float(self.position[1])) > 5.0 and c.gap < 15.0
+        )
         return coming or beyond
 
     def room(self, c):
@@ -191,7 +201,9 @@ def given(policy, *, repaired=False):
 
 
 PLANTED = {
-    name: Planted("vehicle", conditions, partial(given, policy), partial(given, policy, repaired=True))
+    name: Planted(
+        "vehicle", conditions, partial(given, policy), partial(given, policy, repaired=True)
+    )
     for name, policy, conditions in (
         ("short-look-ahead", ShortLookAhead, 1),
         ("clock-wraps", ClockWraps, 2),

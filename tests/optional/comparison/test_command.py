@@ -20,7 +20,18 @@ from tests.optional.export import test_export_command as export
 
 pytestmark = pytest.mark.processes
 
-SMALL = ["--ads", "constant_speed", "--runs", "3", "--seconds", "200", "--duration", "20", "--workers", "1"]
+SMALL = [
+    "--ads",
+    "constant_speed",
+    "--runs",
+    "3",
+    "--seconds",
+    "200",
+    "--duration",
+    "20",
+    "--workers",
+    "1",
+]
 
 
 def compare(folder, *arguments):
@@ -45,7 +56,9 @@ def tables_of(report):
         if line.startswith("#"):
             heading = line.strip("# ")
         if line.startswith("|"):
-            found.setdefault(heading, []).append([cell.strip() for cell in line.strip("|").split("|")])
+            found.setdefault(heading, []).append(
+                [cell.strip() for cell in line.strip("|").split("|")]
+            )
     return found
 
 
@@ -72,7 +85,9 @@ def every_test_has_its_p_value(made, report):
 
 def every_figure_is_there_and_shown(made, report):
     shown = re.findall(r"!\[[^]]+\]\(figures/([a-z-]+)\.png\)", report)
-    assert sorted(path.name for path in (made / "figures").iterdir()) == sorted(f"{name}.png" for name in shown)
+    assert sorted(path.name for path in (made / "figures").iterdir()) == sorted(
+        f"{name}.png" for name in shown
+    )
     assert len(shown) == 2
     for name in shown:
         image = (made / "figures" / f"{name}.png").read_bytes()
@@ -91,7 +106,9 @@ def the_files_to_publish_have_the_numbers_of_the_report(made, report):
     totals = {row[0]: row[1] for row in tables_of(report)["All collisions"][2:]}
     for name, told in totals.items():
         runs = [row for row in rows_in(made / "runs.csv") if row["algorithm"] == name]
-        assert told == " of ".join(str(sum(int(row[each]) for row in runs)) for each in ("collisions", "scenarios"))
+        assert told == " of ".join(
+            str(sum(int(row[each]) for row in runs)) for each in ("collisions", "scenarios")
+        )
 
 
 CHECKS = (
@@ -120,7 +137,12 @@ def test_any_number_of_workers_gives_the_same_rows_by_algorithm_and_run(tmp_path
     one, two = ((tmp_path / n / "results.csv").read_bytes() for n in "12")
     assert one == two
     order = [(row["algorithm"], row["run"]) for row in rows_in(tmp_path / "1" / "results.csv")]
-    assert list(dict.fromkeys(order)) == [("random", "0"), ("random", "1"), ("pafot", "0"), ("pafot", "1")]
+    assert list(dict.fromkeys(order)) == [
+        ("random", "0"),
+        ("random", "1"),
+        ("pafot", "0"),
+        ("pafot", "1"),
+    ]
     assert "compare: 3 of 4 runs\ncompare: 4 of 4 runs\n" in capsys.readouterr().err
 
 
@@ -136,7 +158,9 @@ def test_rows_of_finished_runs_are_written_if_another_fails(tmp_path, capsys, mo
 
     monkeypatch.setattr("pytest_pafot.comparison.command.run_rows", run_rows)
     assert compare(tmp_path, "--algorithms", "random") == 130
-    assert [(row["algorithm"], row["run"]) for row in rows_in(tmp_path / "results.csv")] == [("random", "0")]
+    assert [(row["algorithm"], row["run"]) for row in rows_in(tmp_path / "results.csv")] == [
+        ("random", "0")
+    ]
     assert not (tmp_path / "report.md").exists()
     assert compare(tmp_path, "--algorithms", "random") == BAD_USE
     assert "expected a folder without the results of a comparison, but " in capsys.readouterr().err
@@ -148,7 +172,11 @@ def test_runs_of_different_lengths_are_compared_at_equal_seconds(tmp_path):
     arguments = ["--runs", "2", "--seconds", "100", "--algorithms", "pafot,av-fuzzer@5,random@15"]
     assert compare(tmp_path, *arguments) == 0
     rows = rows_in(tmp_path / "results.csv")
-    for name, length, seconds in (("av-fuzzer@5", 5, [1.0]), ("random@15", 15, SLICES), ("pafot", 20, [10.0])):
+    for name, length, seconds in (
+        ("av-fuzzer@5", 5, [1.0]),
+        ("random@15", 15, SLICES),
+        ("pafot", 20, [10.0]),
+    ):
         own = [row for row in rows if row["algorithm"] == name]
         assert max(float(row["duration"]) for row in own) <= length
         assert {json.loads(row["executed"])[4] for row in own} <= set(seconds), "of a gene"
@@ -156,9 +184,20 @@ def test_runs_of_different_lengths_are_compared_at_equal_seconds(tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsys):
-    arguments = ["--algorithms", "random,random@paper,pafot", "--runs", "1", "--seconds", "60", "--seed", "4"]
+    arguments = [
+        "--algorithms",
+        "random,random@paper,pafot",
+        "--runs",
+        "1",
+        "--seconds",
+        "60",
+        "--seed",
+        "4",
+    ]
     assert compare(tmp_path, *arguments) == 0
-    rows = [(row["algorithm"], json.loads(row["executed"])) for row in rows_in(tmp_path / "results.csv")]
+    rows = [
+        (row["algorithm"], json.loads(row["executed"])) for row in rows_in(tmp_path / "results.csv")
+    ]
     npcs, speeds = ({name: {of(each) for own, each in rows if own == name} for name, _ in rows}
                     for of in (lambda each: len(each[0]), lambda each: each[3]))  # fmt: skip
     assert (npcs["random@paper"], npcs["pafot"]) == ({2}, {2})
@@ -172,7 +211,10 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
         "0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
-    assert "**Warning:** the algorithms have different scenarios, which may be the reason for differences" in report
+    assert (
+        "**Warning:** the algorithms have different scenarios, which may be the reason for differences"
+        in report
+    )
     assert f"- random: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in report
     assert f"- random@paper, pafot: {papers}; 2 genes of 10 s\n" in report
     assert "compare: warning: the algorithms have different scenarios" in told
@@ -181,11 +223,24 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     """A policy that stands still is never responsible, and two seconds of driving cause no collision."""
-    arguments = ["--duration", "2", "--seconds", "10", "--runs", "2", "--algorithms", "pafot,random"]
+    arguments = [
+        "--duration",
+        "2",
+        "--seconds",
+        "10",
+        "--runs",
+        "2",
+        "--algorithms",
+        "pafot,random",
+    ]
     assert compare(tmp_path, "--ads", f"{__name__}:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
-    assert {row[1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {"0"}
-    assert {row[-1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {"not reached"}
+    assert {row[1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {
+        "0"
+    }
+    assert {row[-1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {
+        "not reached"
+    }
     assert {row[3] for row in found["All collisions"][2:]} == {"no collision"}
 
 
@@ -229,7 +284,10 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
 def test_unwritable_result_is_reported(tmp_path, capsys, name):
     taken = tmp_path / "out" / name
     taken.mkdir(parents=True) if name != "." else taken.touch()
-    assert compare(tmp_path / "out", "--algorithms", "random", "--runs", "1", "--seconds", "20") == BAD_USE
+    assert (
+        compare(tmp_path / "out", "--algorithms", "random", "--runs", "1", "--seconds", "20")
+        == BAD_USE
+    )
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"compare: --out: expected a writable folder, received {taken}: ")
 
@@ -259,7 +317,18 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     ):
         assert part in said.err
     assert not (tmp_path / "report.md").exists()
-    more = ["--world", "highway-v0", "--duration", "5", "--seconds", "15", "--algorithms", "random", "--workers", "1"]
+    more = [
+        "--world",
+        "highway-v0",
+        "--duration",
+        "5",
+        "--seconds",
+        "15",
+        "--algorithms",
+        "random",
+        "--workers",
+        "1",
+    ]
     assert compare(tmp_path, *arguments, *more) == 0
 
 
@@ -280,7 +349,10 @@ def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     report = (tmp_path / "report.md").read_text()
     head, _, *rows = tables_of(report)["Distinct failures for which the ego is responsible"]
     assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
-    assert "The search counts as failures all collisions, and exceptions and hangs of the ADS." in report
+    assert (
+        "The search counts as failures all collisions, and exceptions and hangs of the ADS."
+        in report
+    )
 
 
 def raising_later():

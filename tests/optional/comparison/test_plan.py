@@ -25,11 +25,15 @@ def again(row):
     """Return the scenario of a row, only from its text."""
     npcs, seed, lane, speed, seconds = json.loads(row["executed"])
     make = {True: LaneInstruction, False: PositionInstruction}
-    chains = [[make[isinstance(target, str)](target, each) for target, each in chain] for chain in npcs]
+    chains = [
+        [make[isinstance(target, str)](target, each) for target, each in chain] for chain in npcs
+    ]
     return Scenario(npcs=chains, seed=seed, ego_lane=lane, ego_speed=speed, gene_seconds=seconds)
 
 
-@pytest.mark.parametrize("algorithm", mostly_oracle(["pafot", "av-fuzzer", "random@paper"], "pafot"))
+@pytest.mark.parametrize(
+    "algorithm", mostly_oracle(["pafot", "av-fuzzer", "random@paper"], "pafot")
+)
 def test_each_row_can_be_driven_again_identically(quick, algorithm):
     from example_ads import constant_speed
 
@@ -77,7 +81,10 @@ def test_blame_changes_default_fitness_but_not_av_fuzzer(quick):
     steered = run_rows(quick(blame="ego", seconds=400.0), ("pafot", 0))
     assert all(row["fitness"] >= 2 for row in steered if row["responsibility"] == "ego")
     assert all(row["fitness"] <= 1 for row in steered if row["responsibility"] == "npc")
-    plain = [[row["fitness"] for row in run_rows(quick(blame=blame), ("av-fuzzer", 0))] for blame in ("any", "ego")]
+    plain = [
+        [row["fitness"] for row in run_rows(quick(blame=blame), ("av-fuzzer", 0))]
+        for blame in ("any", "ego")
+    ]
     assert plain[0] == plain[1]
 
 
@@ -125,7 +132,12 @@ def failing_but_once():
 
 def test_seeds_differ_by_run_and_algorithm_and_base():
     plan, other = (Plan(ads="x", algorithms=("pafot", "random"), seed=seed) for seed in (0, 1))
-    seeds = [each.run_seed(name, run) for each in (plan, other) for name in plan.algorithms for run in range(10)]
+    seeds = [
+        each.run_seed(name, run)
+        for each in (plan, other)
+        for name in plan.algorithms
+        for run in range(10)
+    ]
     assert len(set(seeds)) == 40
     assert seeds[0] == 110821487627419, "in every process the same"
     assert plan.run_seed("pafot", 0) == Plan(ads="y", algorithms=("pafot",)).run_seed("pafot", 0)
@@ -134,7 +146,9 @@ def test_seeds_differ_by_run_and_algorithm_and_base():
 def test_runs_of_different_length_are_different_scenarios(quick):
     equal = quick(algorithms=("pafot", "random@paper"))
     assert list(equal.scenarios.values()) == [["pafot", "random@paper"]]
-    (_, whole), (shorter, short) = quick(algorithms=("pafot", "av-fuzzer@15", "random@paper")).scenarios.items()
+    (_, whole), (shorter, short) = quick(
+        algorithms=("pafot", "av-fuzzer@15", "random@paper")
+    ).scenarios.items()
     assert (whole, short) == (["pafot", "random@paper"], ["av-fuzzer@15"])
     assert shorter.endswith("; 3 genes of 5 s"), "225 ticks make no two genes"
 

@@ -9,7 +9,12 @@ from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.plan import COLUMNS, Plan
 from pytest_pafot.support.text import csv_text
 
-SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
+SAFE = {
+    "outcome": "safe",
+    "duration": 60.0,
+    "responsibility": "none",
+    "position_responsibility": "none",
+}
 
 
 def hit(time, responsibility="npc", signature="front-2-aaaaaa", **more):
@@ -25,8 +30,20 @@ def rows(*runs, algorithm="pafot", run=0):
     clock, made = 0.0, []
     for index, fields in enumerate(SAFE | each for each in runs):
         clock += 0.0 if fields.get("reused") else fields["duration"]
-        counted = {"seed": 1, "generation": 0, "local_generation": 0, "index": index, "scenario": "abcdef"}
-        rest = {"reused": False, "failing": False, "genes_started": 2, "genes_reached": 1, "executed": "[]"}
+        counted = {
+            "seed": 1,
+            "generation": 0,
+            "local_generation": 0,
+            "index": index,
+            "scenario": "abcdef",
+        }
+        rest = {
+            "reused": False,
+            "failing": False,
+            "genes_started": 2,
+            "genes_reached": 1,
+            "executed": "[]",
+        }
         made.append(counted | rest | fields | {"algorithm": algorithm, "run": run, "clock": clock})
     return made
 
@@ -35,7 +52,9 @@ def rows(*runs, algorithm="pafot", run=0):
 def results(tmp_path):
     def read(*parts, algorithms=("pafot",)):
         path, every = tmp_path / "results.csv", [row for part in parts for row in part]
-        path.write_text(csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in every)))
+        path.write_text(
+            csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in every))
+        )
         return run_measures.Results.read(Plan(ads="x", algorithms=algorithms), path)
 
     return read
@@ -50,7 +69,12 @@ def test_a_run_by_hand(results):
             hit(20.0, "ego", "front-2-bbbbbb"),
             hit(5.0, "both", "front-2-bbbbbb"),
             {"outcome": "invalid", "duration": 7.0},
-            {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True},
+            {
+                "outcome": "ads_error",
+                "duration": 3.0,
+                "signature": "ads-error-cccccc",
+                "failing": True,
+            },
         )
     )
     (run,) = found.runs.itertuples()
@@ -76,7 +100,9 @@ def test_missing_first_failure_is_censored_at_the_horizon(results):
 
 
 def test_signature_like_null_or_number_stays_text(results):
-    data = results(rows(hit(5.0, "ego", "null"), hit(5.0, "ego", "1"), {"scenario": "000012"})).frame
+    data = results(
+        rows(hit(5.0, "ego", "null"), hit(5.0, "ego", "1"), {"scenario": "000012"})
+    ).frame
     assert data["signature"].tolist()[:2] == ["null", "1"]
     assert data["scenario"].tolist()[2] == "000012"
     assert pd.isna(data["signature"].tolist()[2])
@@ -84,7 +110,11 @@ def test_signature_like_null_or_number_stays_text(results):
 
 def test_first_algorithm_is_compared_with_each_other_one(results):
     def runs(name, times):
-        return [row for run, time in enumerate(times) for row in rows(hit(time, "ego"), {}, algorithm=name, run=run)]
+        return [
+            row
+            for run, time in enumerate(times)
+            for row in rows(hit(time, "ego"), {}, algorithm=name, run=run)
+        ]
 
     names = ("pafot", "random", "av-fuzzer")
     found = run_measures.comparisons(
@@ -95,7 +125,10 @@ def test_first_algorithm_is_compared_with_each_other_one(results):
             algorithms=names,
         )
     )
-    assert {(each.first, each.second) for each in found} == {("pafot", "random"), ("pafot", "av-fuzzer")}
+    assert {(each.first, each.second) for each in found} == {
+        ("pafot", "random"),
+        ("pafot", "av-fuzzer"),
+    }
     assert {each.test for each in found} == {"Mann-Whitney U", "Fisher exact", "log-rank"}
     first = next(each for each in found if each.test == "log-rank")
     assert (first.second, first.value_first, first.value_second) == ("random", 6.0, 26.0)

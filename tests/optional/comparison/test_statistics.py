@@ -7,7 +7,14 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.comparison.run_measures import a12, a12_interval, effect_size, fisher_p, log_rank, survival
+from pytest_pafot.comparison.run_measures import (
+    a12,
+    a12_interval,
+    effect_size,
+    fisher_p,
+    log_rank,
+    survival,
+)
 
 samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
 
@@ -15,7 +22,11 @@ samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
 class TestEffect:
     @given(samples, samples)
     def test_a12_is_the_u_statistic_over_the_pairs(self, x, y):
-        u = scipy.stats.mannwhitneyu(x, y, method="asymptotic").statistic if len({*x, *y}) > 1 else len(x) * len(y) / 2
+        u = (
+            scipy.stats.mannwhitneyu(x, y, method="asymptotic").statistic
+            if len({*x, *y}) > 1
+            else len(x) * len(y) / 2
+        )
         assert a12(x, y) == pytest.approx(u / (len(x) * len(y)))
 
     @given(samples, samples)
@@ -30,7 +41,9 @@ class TestEffect:
         effect = effect_size(x, y)
         assert 0 <= effect.low <= effect.a12 <= effect.high <= 1
 
-    @pytest.mark.parametrize(("estimate", "sizes"), [(1.0, (10, 10)), (0.7, (10, 20)), (0.3, (5, 8))])
+    @pytest.mark.parametrize(
+        ("estimate", "sizes"), [(1.0, (10, 10)), (0.7, (10, 20)), (0.3, (5, 8))]
+    )
     def test_ends_of_the_interval_follow_its_equation(self, estimate, sizes):
         """An end v has (v - e)^2 m n = z^2 v (1 - v) (1 + N (1 - v) / (2 - v) + N v / (1 + v)), N = (m + n) / 2 - 1."""
         (m, n), others = sizes, sum(sizes) / 2 - 1
@@ -38,7 +51,9 @@ class TestEffect:
         assert ends[0] < estimate <= ends[1]
         for v in ends:
             spread = 1 + others * (1 - v) / (2 - v) + others * v / (1 + v)
-            assert (v - estimate) ** 2 * m * n == pytest.approx(1.959964**2 * v * (1 - v) * spread, rel=1e-5)
+            assert (v - estimate) ** 2 * m * n == pytest.approx(
+                1.959964**2 * v * (1 - v) * spread, rel=1e-5
+            )
 
     def test_the_test_is_scipys_two_sided_one(self):
         x, y = [1.0, 4.0, 6.0, 7.0], [2.0, 3.0, 5.0, 0.0]
@@ -83,7 +98,9 @@ class TestSurvival:
             expected += at_risk_x / at_risk
             variance += at_risk_x * at_risk_y / at_risk**2
         z = (observed - expected) / math.sqrt(variance)
-        assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * scipy.stats.norm.sf(abs(z)))
+        assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(
+            2 * scipy.stats.norm.sf(abs(z))
+        )
 
     @pytest.mark.filterwarnings("error")
     @pytest.mark.parametrize(("x", "x_is_censored", "y", "y_is_censored"), [
@@ -91,5 +108,7 @@ class TestSurvival:
         ([1, 1], [True, True], [2, 3, 4], [False] * 3),  # the samples are never at risk together
         ([5, 5], [True, True], [6, 6], [True, True]),  # nobody found anything
     ])  # fmt: skip
-    def test_samples_without_a_comparable_event_do_not_differ(self, x, x_is_censored, y, y_is_censored):
+    def test_samples_without_a_comparable_event_do_not_differ(
+        self, x, x_is_censored, y, y_is_censored
+    ):
         assert log_rank(x, x_is_censored, y, y_is_censored) == 1.0

@@ -66,7 +66,9 @@ class TestRatio:
     def test_constant_factor_gives_exact_ratio_of_paired_samples(self):
         times = np.random.default_rng(1).integers(1, 100, 40).astype(float)
         found = [True] * 40
-        each = ratio_interval(median, Sample.of(3 * times, found), Sample.of(times, found), [0] * 40, draws=50)
+        each = ratio_interval(
+            median, Sample.of(3 * times, found), Sample.of(times, found), [0] * 40, draws=50
+        )
         assert each == (3, 3)
 
     def test_strata_keep_their_sizes(self):
@@ -74,6 +76,8 @@ class TestRatio:
         first = Sample.of([1, 1, 1, 9, 9, 9], [True] * 6)
         second = Sample.of([2] * 6, [True] * 6)
         strata = ["soon"] * 3 + ["late"] * 3
-        assert ratio_interval(lambda each: each.mean(10), first, second, strata, draws=50) == pytest.approx((2.5, 2.5))
+        assert ratio_interval(
+            lambda each: each.mean(10), first, second, strata, draws=50
+        ) == pytest.approx((2.5, 2.5))
         low, high = ratio_interval(lambda each: each.mean(10), first, second, [0] * 6, draws=50)
         assert low < 2.5 < high

@@ -10,7 +10,11 @@ from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.model.trace import LANE
 
 FILES = Path(__file__).parents[2] / "corpus" / "saved"
-POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
+POLICIES = {
+    "collision-xfail": "constant_speed",
+    "gym-merge": "idm_mobil",
+    "gym-roundabout": "idm_mobil",
+}
 """The policy that drives in each file; the first and the last one collide."""
 JUNCTION, BOTH_KINDS = "junction", "both kinds"
 """Stand-ins for files: two NPCs cross the way of an ego with a constant action, and one of them is hit; an NPC cuts in,
@@ -19,8 +23,13 @@ and another one leaves its cell on the grid."""
 
 def at_junction():
     world = pafot.World("intersection-v0")
-    told = pafot.CrossingInstruction("o1>o3", 0.0, 8.0), pafot.CrossingInstruction("o3>o1", 1.0, 7.0)
-    scenario = pafot.Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
+    told = (
+        pafot.CrossingInstruction("o1>o3", 0.0, 8.0),
+        pafot.CrossingInstruction("o3>o1", 1.0, 7.0),
+    )
+    scenario = pafot.Scenario(
+        npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed
+    )
     return world.rollout(scenario, lambda: lambda observation: 1)
 
 
@@ -28,7 +37,8 @@ def of_both_kinds():
     lanes = pafot.LaneInstruction("right", 20.0), pafot.LaneInstruction("keep", 8.0)
     cells = pafot.PositionInstruction(2, 22.0), pafot.PositionInstruction(3, 22.0)
     trace = pafot.Highway(duration=8.0).rollout(
-        pafot.Scenario(npcs=[lanes, cells], gene_seconds=4.0), lambda: lambda observation: (0.0, 0.0)
+        pafot.Scenario(npcs=[lanes, cells], gene_seconds=4.0),
+        lambda: lambda observation: (0.0, 0.0),
     )
     assert trace.states[0, 1, LANE] != trace.states[-1, 1, LANE]
     return trace

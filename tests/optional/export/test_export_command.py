@@ -48,14 +48,20 @@ def other_road():
 
 def test_world_that_is_code_is_named(tmp_path, capsys):
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
-    path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
+    path.write_text(
+        text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}}))
+    )
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
-    assert "Because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world\n" in (
-        capsys.readouterr().err
+    assert (
+        "Because a file cannot contain code, pass the world itself with replay(ads, world=...) or --world\n"
+        in (capsys.readouterr().err)
     )
     assert export(*arguments, "--world", f"{__name__}:other_road") == 2
-    assert "received a simulator of the class OtherRoad. A file cannot contain code, " in capsys.readouterr().err
+    assert (
+        "received a simulator of the class OtherRoad. A file cannot contain code, "
+        in capsys.readouterr().err
+    )
     assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
@@ -82,8 +88,14 @@ def test_an_interrupt_leaves_all_files_or_none(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr("pytest_pafot.export.exporter.write_whole", interrupted)
     monkeypatch.setattr("pytest_pafot.export.exporter.csv_table", two_files)
-    assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["collision-xfail.a", "collision-xfail.b"]
+    assert (
+        export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path)
+        == 128 + signal.SIGTERM
+    )
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        "collision-xfail.a",
+        "collision-xfail.b",
+    ]
     assert capsys.readouterr().err == "\nexport: interrupted\n"
 
 
@@ -98,7 +110,10 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
     shutil.copy(FILE, tmp_path / "other")
     assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err
-    assert "an id that occurs in 2 files. Give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
+    assert (
+        "an id that occurs in 2 files. Give one of the files: other/collision-xfail.pafot.yaml, tests/"
+        in told
+    )
 
 
 @pytest.mark.parametrize(("below", "received"), [
@@ -115,15 +130,21 @@ def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path
     assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", out) == 2
     told, error = capsys.readouterr()
     assert told == ""
-    assert error.startswith(f"export: --out: expected a writable folder, received {received.format(out)}")
+    assert error.startswith(
+        f"export: --out: expected a writable folder, received {received.format(out)}"
+    )
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize(("world", "asked"), [([], ""), (["--world", "pytest_pafot:Highway"], " and the world")])
+@pytest.mark.parametrize(
+    ("world", "asked"), [([], ""), (["--world", "pytest_pafot:Highway"], " and the world")]
+)
 def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked):
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", *world, "--out", tmp_path) == 0
     told = capsys.readouterr().err
-    assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
+    assert told.startswith(
+        "export: collision-xfail was saved with collision at 6.3 s, but this run ended with "
+    )
     assert told.endswith(f". Did you pass the policy{asked} of its test?\n")
 
 
@@ -132,12 +153,20 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked
     (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation. Use the "
      "policy of the test, and its world if that is code\n"),
 ])  # fmt: skip
-def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
-    path, data = tmp_path / "front-2-1f3a9c.pafot.yaml", wrong().to_dict() if given else pafot.Highway().to_dict()
+def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(
+    tmp_path, capsys, given, expected
+):
+    path, data = (
+        tmp_path / "front-2-1f3a9c.pafot.yaml",
+        wrong().to_dict() if given else pafot.Highway().to_dict(),
+    )
     path.write_text(text_of(plain_finding(world=data)))
     out = tmp_path / "out"
     assert export(path, "--to", "csv", "--out", out, "--ads", f"{__name__}:raising", *given) == 2
-    assert capsys.readouterr() == ("", f"export: --ads: expected a policy that drives in {expected}")
+    assert capsys.readouterr() == (
+        "",
+        f"export: --ads: expected a policy that drives in {expected}",
+    )
     assert not out.exists()
 
 
@@ -175,7 +204,9 @@ def interrupting():
 
 
 def test_interrupted_export_prints_line_and_exits_with_130(tmp_path, capsys):
-    assert export(FILE, "--to", "csv", "--ads", f"{__name__}:interrupting", "--out", tmp_path) == 130
+    assert (
+        export(FILE, "--to", "csv", "--ads", f"{__name__}:interrupting", "--out", tmp_path) == 130
+    )
     assert capsys.readouterr() == ("", "\nexport: interrupted\n")
     assert not list(tmp_path.iterdir())
 
@@ -185,7 +216,9 @@ def test_interrupted_export_prints_line_and_exits_with_130(tmp_path, capsys):
     ("mcap", "foxglove_mcap", "foxglove", "export"),
     ("commonroad", "commonroad_xml", "commonroad", "commonroad"),
 ])  # fmt: skip
-def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, name, module, library, extra):
+def test_missing_library_error_names_the_extra_to_install(
+    monkeypatch, capsys, name, module, library, extra
+):
     for each in [known for known in sys.modules if known.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, each)
     monkeypatch.setitem(sys.modules, library, None)

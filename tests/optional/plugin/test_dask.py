@@ -50,7 +50,9 @@ def test_many(run):
 @pytest.fixture
 def elsewhere(project, monkeypatch):
     """Return a project whose ADS has its own module, and the findings of a search in one process there."""
-    monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", math.inf)  # a slow session would report its progress
+    monkeypatch.setattr(
+        "pytest_pafot.plugin.session.LOG_SECONDS", math.inf
+    )  # a slow session would report its progress
     project.pytester.makeconftest(CONFTEST)
     project.pytester.makepyfile(my_planner=PLANNER)
     project.write(MANY)
@@ -74,7 +76,9 @@ def told(result):
 def cluster():
     """Return a scheduler with a worker in its own process, which takes long to start."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as started:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0"
+    ) as started:
         yield started
 
 
@@ -107,7 +111,9 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
-    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a running scheduler"):  # noqa: SIM117
+    with pytest.raises(  # noqa: SIM117
+        ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a running scheduler"
+    ):
         with connect("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
 
@@ -115,8 +121,13 @@ def test_a_scheduler_that_does_not_answer_is_named():
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("pytest_pafot.execution.dask_cluster.SOON", 0.1)
-    here = {"processes": False, "protocol": "tcp"}  # a worker in a process of its own takes seconds to start
-    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=":0", **here) as empty:
+    here = {
+        "processes": False,
+        "protocol": "tcp",
+    }  # a worker in a process of its own takes seconds to start
+    with distributed.LocalCluster(
+        n_workers=0, threads_per_worker=1, dashboard_address=":0", **here
+    ) as empty:
         told = []
 
         def tell(text):
@@ -126,5 +137,7 @@ def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
         with connect(empty.scheduler_address, tell):
             pass
     [text] = told
-    assert text.startswith(f"--pafot-dask={empty.scheduler_address}: the scheduler has no worker, so no scenario runs")
+    assert text.startswith(
+        f"--pafot-dask={empty.scheduler_address}: the scheduler has no worker, so no scenario runs"
+    )
     assert f"`dask worker {empty.scheduler_address}`" in text

@@ -15,7 +15,13 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pytest_pafot as pafot
-from pytest_pafot.policies.baselines import BaselineAds, BaselineModel, Sb3Policy, push_observation, stacking_axis
+from pytest_pafot.policies.baselines import (
+    BaselineAds,
+    BaselineModel,
+    Sb3Policy,
+    push_observation,
+    stacking_axis,
+)
 from tests.helpers.tables import table
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
@@ -79,7 +85,10 @@ def test_frames_are_last_observations_padded_with_zeros(shape):
         frames = None
         for newest in range(len(seen)):
             frames = push_observation(frames, seen[newest], 3, stacked)
-            last = [seen[place] if place >= 0 else np.zeros(shape) for place in (newest - 2, newest - 1, newest)]
+            last = [
+                seen[place] if place >= 0 else np.zeros(shape)
+                for place in (newest - 2, newest - 1, newest)
+            ]
             assert np.array_equal(frames, np.concatenate(last, axis))
             assert frames.dtype == np.float32
 
@@ -87,7 +96,9 @@ def test_frames_are_last_observations_padded_with_zeros(shape):
 def test_wrong_number_of_frames_is_a_clear_error():
     assert stacking_axis((5, 5), (5, 15), 3) == 1
     assert stacking_axis((5, 5), (5, 15), 2) is None
-    with pytest.raises(TypeError, match=r"2 observations that stack to the shape \(5, 15\).*Use the frame_stack="):
+    with pytest.raises(
+        TypeError, match=r"2 observations that stack to the shape \(5, 15\).*Use the frame_stack="
+    ):
         push_observation(None, np.zeros((5, 5)), 2, (5, 15))
 
 
@@ -153,8 +164,12 @@ def test_a_model_drives_by_what_a_simulator_observes():
     expected = [int(np.arange(1, 26).sum() * tick * 100) % 5 for tick in range(0, 15, 3)]
     assert trace.error is None
     assert simulator.taken[::3] == list(trace.actions) == expected
-    with pytest.raises(TypeError, match=r"SimulatorWorld, whose observations are pafot\.Observation"):
-        pafot.SimulatorWorld(type("Plain", (Native,), {"native": False})).rollout(CUT_IN, Checking())
+    with pytest.raises(
+        TypeError, match=r"SimulatorWorld, whose observations are pafot\.Observation"
+    ):
+        pafot.SimulatorWorld(type("Plain", (Native,), {"native": False})).rollout(
+            CUT_IN, Checking()
+        )
 
 
 def zipped(path, parameters):
@@ -175,7 +190,9 @@ def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
 def test_missing_library_error_names_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     file = zipped(tmp_path / "model.zip", {"clip_range": 0.2})
-    with pytest.raises(TypeError, match=r"expected the package torch.*pip install 'pytest-pafot\[sb3\]'"):
+    with pytest.raises(
+        TypeError, match=r"expected the package torch.*pip install 'pytest-pafot\[sb3\]'"
+    ):
         pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
 
 
@@ -212,7 +229,11 @@ def test_statistics_missing_for_the_zip_are_reported(tmp_path):
         "vecnormalize='statistics.pkl')."
     )
     assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
-    for parameters in (of_ppo, {**of_ppo, "_last_original_obs": None}, {**of_dqn, "_last_original_obs": STORED}):
+    for parameters in (
+        of_ppo,
+        {**of_ppo, "_last_original_obs": None},
+        {**of_dqn, "_last_original_obs": STORED},
+    ):
         assert pafot.policies.sb3(zipped(tmp_path / "plain.zip", parameters)).loading_hint == ""
     assert pafot.policies.sb3(tmp_path / "nowhere.zip").loading_hint == ""
 

@@ -37,7 +37,9 @@ SEEN = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
 def program(folder, body, **options):
     file = folder / f"planner_{len(list(folder.iterdir()))}.py"
     file.write_text(LOOP.replace("{body}", textwrap.indent(textwrap.dedent(body), "    ").strip()))
-    return pafot.policies.process([sys.executable, "-S", "-E", str(file)], **options)  # these options halve the start
+    return pafot.policies.process(
+        [sys.executable, "-S", "-E", str(file)], **options
+    )  # these options halve the start
 
 
 def children():
@@ -57,12 +59,16 @@ def no_program_is_left():
 
 
 def brakes_in_python():
-    return lambda observation: (-1.0 if observation.others[0].x - observation.ego.x < 40 else 0.1, 0.0)
+    return lambda observation: (
+        -1.0 if observation.others[0].x - observation.ego.x < 40 else 0.1,
+        0.0,
+    )
 
 
 def test_program_drives_like_the_same_planner_in_python(tmp_path):
     ads = program(
-        tmp_path, "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)"
+        tmp_path,
+        "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)",
     )
     ours, theirs = ROAD.rollout(CUT_IN, brakes_in_python), ROAD.rollout(CUT_IN, ads)
     assert theirs.error is None
@@ -73,14 +79,19 @@ def test_a_line_has_all_that_an_observation_has():
     lines = []
 
     def ads():
-        return lambda observation: lines.append((programs.line_of(observation, reset=True), observation)) or (0.0, 0.0)
+        return lambda observation: (
+            lines.append((programs.line_of(observation, reset=True), observation)) or (0.0, 0.0)
+        )
 
     ROAD.rollout(CUT_IN, ads)
     line, observation = lines[0]
     assert line.endswith(b"}\n")
     assert line.count(b"\n") == 1
     told = programs.json.loads(line)
-    attributes = {name for name in dir(Observation) if not name.startswith("_")} - {"array", "replace"}
+    attributes = {name for name in dir(Observation) if not name.startswith("_")} - {
+        "array",
+        "replace",
+    }
     assert told.keys() == attributes | {"reset"}
     assert told["ego"] == observation.ego._asdict()
     assert VehicleState(**told["others"][0]) == observation.others[0]
@@ -88,7 +99,14 @@ def test_a_line_has_all_that_an_observation_has():
 
 
 def test_a_line_has_who_crosses_with_its_zone():
-    zone = pafot.Zone(way="o3>o1", kind="crossing", origin="right", ego=(9.0, 19.0), npc=(8.0, 18.0), priority="npc")
+    zone = pafot.Zone(
+        way="o3>o1",
+        kind="crossing",
+        origin="right",
+        ego=(9.0, 19.0),
+        npc=(8.0, 18.0),
+        priority="npc",
+    )
     crossing = pafot.CrossingVehicle(2, zone, 10.0, 20.0, 22.0, 9.0, -1.57, 8.0, 5.0, 2.0)
     seen = Observation(0.0, SEEN.ego, (), 4, 4.0, 26.8, crossing=(crossing,))
     (told,) = programs.json.loads(programs.line_of(seen, reset=True))["crossing"]
@@ -147,8 +165,12 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
     ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
     ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
 ])  # fmt: skip
-def test_wrong_program_behaviour_is_reported_with_its_kind(body, kind, message, tmp_path, monkeypatch):
-    monkeypatch.setattr(programs, "GRACE", 0.2 if "os.close" in body else 10.0)  # a busy machine ends it late
+def test_wrong_program_behaviour_is_reported_with_its_kind(
+    body, kind, message, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        programs, "GRACE", 0.2 if "os.close" in body else 10.0
+    )  # a busy machine ends it late
     once = f"if seen['time'] == 1.0:\n    {body}\nelse:\n    answer(acceleration=0.0, steering=0.0)"
     ads = program(tmp_path, once)
     error = ROAD.rollout(CUT_IN, ads).error
@@ -158,9 +180,14 @@ def test_wrong_program_behaviour_is_reported_with_its_kind(body, kind, message, 
 
 
 def test_failed_program_does_not_prevent_later_starts(tmp_path):
-    ads = program(tmp_path, "sys.exit(3) if seen['time'] == 1.0 else answer(acceleration=0.0, steering=0.0)")
+    ads = program(
+        tmp_path, "sys.exit(3) if seen['time'] == 1.0 else answer(acceleration=0.0, steering=0.0)"
+    )
     assert ROAD.rollout(CUT_IN, ads).error.tick == 15
-    assert ROAD.rollout(CUT_IN, program(tmp_path, "answer(acceleration=0.0, steering=0.0)")).error is None
+    assert (
+        ROAD.rollout(CUT_IN, program(tmp_path, "answer(acceleration=0.0, steering=0.0)")).error
+        is None
+    )
     assert ROAD.rollout(CUT_IN, ads).error.tick == 15
 
 
@@ -218,12 +245,16 @@ def test_program_with_unexpected_output_drives_no_other_run(tmp_path):
 
 
 def test_long_stderr_output_of_program_is_shortened(tmp_path, capfd):
-    ads = program(tmp_path, "sys.stderr.write('begin' + 'x' * 200_000 + 'end\\n'); answer(action=number)")()
+    ads = program(
+        tmp_path, "sys.stderr.write('begin' + 'x' * 200_000 + 'end\\n'); answer(action=number)"
+    )()
     assert [ads([1]) for _ in range(3)] == [0, 1, 2]
     ads.close()
     said = capfd.readouterr().err
     assert said.startswith("beginxx")
-    assert re.search(r"xx\n\[\.\.\. 592027 bytes that .* wrote to stderr are omitted \.\.\.\]\nxx", said)
+    assert re.search(
+        r"xx\n\[\.\.\. 592027 bytes that .* wrote to stderr are omitted \.\.\.\]\nxx", said
+    )
     assert said.endswith("xxend\n")
     assert len(said) < 2 * programs.STDERR_PRINTED + 100
 
@@ -238,7 +269,9 @@ def test_long_stderr_output_of_program_is_shortened(tmp_path, capfd):
     b"",
 ])  # fmt: skip
 def test_unreadable_answer_is_a_bad_action(line):
-    with pytest.raises(BadAction, match="expected a line of JSON with the keys acceleration and steering"):
+    with pytest.raises(
+        BadAction, match="expected a line of JSON with the keys acceleration and steering"
+    ):
         programs.action_of(line)
 
 
@@ -252,7 +285,10 @@ def test_finding_includes_the_last_stderr_of_program(tmp_path, capfd):
 
 
 def test_program_that_cannot_start_is_a_setup_error():
-    with pytest.raises(TypeError, match=r"expected a program that can be started, received .*no-such.*build it first"):
+    with pytest.raises(
+        TypeError,
+        match=r"expected a program that can be started, received .*no-such.*build it first",
+    ):
         ROAD.rollout(CUT_IN, pafot.policies.process(["./no-such-program"]))
 
 
@@ -301,11 +337,16 @@ print(pid)
 @pytest.mark.processes
 def test_program_ends_with_its_process_despite_a_fork(tmp_path):
     command = program(tmp_path, "answer(action=os.getpid())").command
-    pid = int(subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command]))
+    pid = int(
+        subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command])
+    )
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
 
 def test_program_that_ends_after_its_run_is_started_again(tmp_path):
-    ads = program(tmp_path, "sys.exit(3) if seen['reset'] and number else answer(acceleration=0.0, steering=0.0)")
+    ads = program(
+        tmp_path,
+        "sys.exit(3) if seen['reset'] and number else answer(acceleration=0.0, steering=0.0)",
+    )
     assert [ROAD.rollout(CUT_IN, ads).error for _ in range(3)] == [None, None, None]

@@ -11,7 +11,9 @@ import pytest_pafot as pafot
 from pytest_pafot.algorithms import sample
 from pytest_pafot.algorithms.space import SearchSpace
 
-stable_baselines3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
+stable_baselines3 = pytest.importorskip(
+    "stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"'
+)
 sb3_contrib = pytest.importorskip("sb3_contrib", reason='needs pip install "pytest-pafot[sb3]"')
 
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize  # noqa: E402
@@ -22,7 +24,10 @@ CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 WORLD = pafot.World(ENV, duration=10.0)
 OF_DISCRETE_ACTIONS = (
     *(getattr(stable_baselines3, name) for name in ("PPO", "A2C", "DQN")),
-    *(getattr(sb3_contrib, name) for name in ("QRDQN", "TRPO", "MaskablePPO", "RecurrentPPO", "ARS")),
+    *(
+        getattr(sb3_contrib, name)
+        for name in ("QRDQN", "TRPO", "MaskablePPO", "RecurrentPPO", "ARS")
+    ),
 )
 OF_CONTINUOUS_ACTIONS = (
     *(getattr(stable_baselines3, name) for name in ("SAC", "TD3")),
@@ -31,15 +36,29 @@ OF_CONTINUOUS_ACTIONS = (
 POLICIES = {"MaskablePPO": "MlpPolicy", "RecurrentPPO": "MlpLstmPolicy"}
 
 
-def saved_model(folder, cls, *, config=None, frames=1, is_normalised=False, steps=0, policy="MlpPolicy", **arguments):
+def saved_model(
+    folder,
+    cls,
+    *,
+    config=None,
+    frames=1,
+    is_normalised=False,
+    steps=0,
+    policy="MlpPolicy",
+    **arguments,
+):
     """Save a model trained for a number of steps, and its statistics; return their files."""
-    env = DummyVecEnv([partial(gymnasium.make, ENV, config={"vehicles_count": 5, **(config or {})})])
+    env = DummyVecEnv(
+        [partial(gymnasium.make, ENV, config={"vehicles_count": 5, **(config or {})})]
+    )
     env.seed(1)
     if is_normalised:
         env = VecNormalize(env)
     if frames > 1:
         env = VecFrameStack(env, frames)
-    model = cls(policy, env, seed=1, device="cpu", policy_kwargs={"net_arch": [32, 32]}, **arguments)
+    model = cls(
+        policy, env, seed=1, device="cpu", policy_kwargs={"net_arch": [32, 32]}, **arguments
+    )
     if steps:
         model.learn(steps)
     model.save(folder / "model.zip")
@@ -99,16 +118,27 @@ def framed(tmp_path_factory):
     """Return PPO on three frames of normalised observations."""
     folder = tmp_path_factory.mktemp("framed")
     return saved_model(
-        folder, stable_baselines3.PPO, frames=3, is_normalised=True, steps=256, n_steps=64, learning_rate=0.01
+        folder,
+        stable_baselines3.PPO,
+        frames=3,
+        is_normalised=True,
+        steps=256,
+        n_steps=64,
+        learning_rate=0.01,
     )
 
 
 @pytest.mark.parametrize(
     ("cls", "config"),
-    [*((cls, {}) for cls in OF_DISCRETE_ACTIONS), *((cls, CONTINUOUS) for cls in OF_CONTINUOUS_ACTIONS)],
+    [
+        *((cls, {}) for cls in OF_DISCRETE_ACTIONS),
+        *((cls, CONTINUOUS) for cls in OF_CONTINUOUS_ACTIONS),
+    ],
 )
 def test_zip_names_algorithm_and_policy_decides_like_predict(cls, config, tmp_path):
-    file, _ = saved_model(tmp_path, cls, config=config, policy=POLICIES.get(cls.__name__, "MlpPolicy"))
+    file, _ = saved_model(
+        tmp_path, cls, config=config, policy=POLICIES.get(cls.__name__, "MlpPolicy")
+    )
     policy = pafot.policies.sb3(file)
     world = pafot.World(ENV, config=config or None, duration=10.0)
     model = cls.load(file, device="cpu")
@@ -126,7 +156,10 @@ def test_policy_with_statistics_and_frames_decides_like_wrappers(framed):
         in_gym = WORLD.rollout_in_gym(trace.scenario, policy)
         assert in_gym.actions == trace.actions
         assert same(
-            in_gym, WORLD.rollout_in_gym(trace.scenario, lambda: InItsWrappers(model, WORLD, statistics, frames=3))
+            in_gym,
+            WORLD.rollout_in_gym(
+                trace.scenario, lambda: InItsWrappers(model, WORLD, statistics, frames=3)
+            ),
         )
     assert len({action for trace in traces for action in trace.actions}) > 1
 
@@ -144,7 +177,9 @@ def test_statistics_of_stacked_observations_are_recognised_by_shape(tmp_path):
     model.save(tmp_path / "model.zip")
     env.save(str(tmp_path / "statistics.pkl"))
     env.training = False
-    policy = pafot.policies.sb3(tmp_path / "model.zip", vecnormalize=tmp_path / "statistics.pkl", frame_stack=2)
+    policy = pafot.policies.sb3(
+        tmp_path / "model.zip", vecnormalize=tmp_path / "statistics.pkl", frame_stack=2
+    )
     ads, seen = policy(), env.reset()
     for _ in range(20):
         assert ads(shown.next) == model.predict(seen, deterministic=True)[0][0]
@@ -155,11 +190,15 @@ def test_statistics_of_stacked_observations_are_recognised_by_shape(tmp_path):
 def test_spaces_that_differ_are_both_named(framed):
     file, statistics = framed
     policy = pafot.policies.sb3(file, vecnormalize=statistics)
-    with pytest.raises(TypeError, match=r"(?s)observations Box\(.*\(5, 15\).*received highway-fast-v0 .*\(5, 5\)"):
+    with pytest.raises(
+        TypeError, match=r"(?s)observations Box\(.*\(5, 15\).*received highway-fast-v0 .*\(5, 5\)"
+    ):
         WORLD.rollout(scenarios(1)[0], policy)
     with pytest.raises(TypeError, match="received Highway, whose observations are pafot"):
         pafot.Highway().rollout(scenarios(1)[0], policy)
     continuous = pafot.World(ENV, config=CONTINUOUS)
     framed_policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)
-    with pytest.raises(TypeError, match=r"Discrete\(5\).*received .*actions Box\(-1.0, 1.0, \(2,\)"):
+    with pytest.raises(
+        TypeError, match=r"Discrete\(5\).*received .*actions Box\(-1.0, 1.0, \(2,\)"
+    ):
         continuous.rollout(scenarios(1)[0], framed_policy)

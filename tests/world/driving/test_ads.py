@@ -21,10 +21,14 @@ from pytest_pafot.world import AdsFactoryError, Highway, Observation, World
 from pytest_pafot.world.kernel.director import Director
 from tests.helpers.tables import table
 
-SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
+SCENARIO = Scenario(
+    npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0
+)
 HIGHWAY, GYM = Highway(), World("highway-v0")
 CONTINUOUS = World("highway-v0", config={"action": {"type": "ContinuousAction"}})
-worlds = pytest.mark.parametrize(("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM, 1)], ids=["Highway", "World"])
+worlds = pytest.mark.parametrize(
+    ("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM, 1)], ids=["Highway", "World"]
+)
 
 
 def always(action):
@@ -37,11 +41,17 @@ def always(action):
 
 def test_planner_sees_scene_in_si_units():
     seen = []
-    trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.01))
+    trace = HIGHWAY.rollout(
+        SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.01)
+    )
     assert [observation.time for observation in seen] == [tick / 5 for tick in range(20)]
     for tick, observation in zip(range(0, 60, 3), seen, strict=True):
         assert isinstance(observation, Observation)
-        assert (observation.lanes, observation.lane_width, observation.speed_limit) == (4, 4.0, 26.8)
+        assert (observation.lanes, observation.lane_width, observation.speed_limit) == (
+            4,
+            4.0,
+            26.8,
+        )
         vehicles = [observation.ego, *observation.others]
         for state, row, size in zip(vehicles, trace.states[tick], trace.sizes, strict=True):
             assert (state.x, state.y, state.heading, state.speed) == tuple(row[:4])
@@ -60,22 +70,40 @@ def test_planner_action_is_held_and_logged_as_given():
     assert set(trace.ego[1:, 5]) == {0.001}
 
 
-@table("action", [(1, 0), [1.0, 0.0], np.array([1.0, 0.0]), np.float32([1, 0]), (np.float32(1), np.int64(0)), iter])
+@table(
+    "action",
+    [
+        (1, 0),
+        [1.0, 0.0],
+        np.array([1.0, 0.0]),
+        np.float32([1, 0]),
+        (np.float32(1), np.int64(0)),
+        iter,
+    ],
+)
 def test_any_pair_of_numbers_is_an_action(action):
-    trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: iter((1, 0)) if action is iter else action)
+    trace = HIGHWAY.rollout(
+        SCENARIO, lambda: lambda observation: iter((1, 0)) if action is iter else action
+    )
     assert trace.outcome is Outcome.COMPLETED
     assert set(trace.actions) == {(1.0, 0.0)}
 
 
 def test_extreme_actions_are_limited_to_what_car_can():
-    for wild, tame in (((1e9, 0.0), (6.0, 0.0)), ((-1e9, 0.0), (-9.81, 0.0)), ((0.0, 9.0), (0.0, math.pi / 4))):
+    for wild, tame in (
+        ((1e9, 0.0), (6.0, 0.0)),
+        ((-1e9, 0.0), (-9.81, 0.0)),
+        ((0.0, 9.0), (0.0, math.pi / 4)),
+    ):
         a, b = (HIGHWAY.rollout(SCENARIO, always(action)) for action in (wild, tame))
         assert a.states.tobytes() == b.states.tobytes()
         assert a.actions[0] == wild
 
 
 def test_ego_off_road_records_its_first_tick():
-    trace = HIGHWAY.rollout(Scenario(npcs=[[PositionInstruction(8, 20.0)]], ego_lane=3), always((0.0, 0.02)))
+    trace = HIGHWAY.rollout(
+        Scenario(npcs=[[PositionInstruction(8, 20.0)]], ego_lane=3), always((0.0, 0.02))
+    )
     assert trace.outcome is Outcome.OFF_ROAD
     off = trace.ego[:, 1] > 14.0
     assert trace.off_road_tick == off.argmax() > 0
@@ -87,7 +115,9 @@ def test_ego_off_road_records_its_first_tick():
 
 def test_policy_gets_environment_observation_and_gives_its_action():
     seen = []
-    trace = GYM.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or np.array([3]))
+    trace = GYM.rollout(
+        SCENARIO, lambda: lambda observation: seen.append(observation) or np.array([3])
+    )
     assert {(array.shape, array.dtype) for array in seen} == {((5, 5), np.dtype(np.float32))}
     assert trace.actions == (3,) * 4  # highway-v0 decides once a second
     assert trace.ego[-1, 3] > 24
@@ -141,7 +171,11 @@ def genes_reachable_from(thing):
     seen, queue = set(), [thing]
     while queue:
         item = queue.pop()
-        if id(item) in seen or isinstance(item, type) or type(item).__name__ in ("module", "function", "frame"):
+        if (
+            id(item) in seen
+            or isinstance(item, type)
+            or type(item).__name__ in ("module", "function", "frame")
+        ):
             continue
         if isinstance(item, (Director, PositionInstruction, Scenario)):
             return True
@@ -156,7 +190,9 @@ def test_planner_that_copies_environment_finds_no_genes():
     def factory(env):
         def plan(observation):
             found.append(genes_reachable_from(copy.deepcopy(env)) or genes_reachable_from(env))
-            traffic.append([(type(other), other.target_speed, other.speed) for other in env.road.vehicles[1:]])
+            traffic.append(
+                [(type(other), other.target_speed, other.speed) for other in env.road.vehicles[1:]]
+            )
             return 1
 
         return plan
@@ -198,14 +234,18 @@ def test_planner_environment_stays_in_step_with_run():
     def factory(env):
         def plan(observation):
             assert observation.tobytes() == env.observation_type.observe().tobytes()
-            shown.append([(*other.position, other.heading, other.speed) for other in env.road.vehicles])
+            shown.append(
+                [(*other.position, other.heading, other.speed) for other in env.road.vehicles]
+            )
             return 3
 
         return plan
 
     trace = GYM.rollout(SCENARIO, factory)
     assert trace.outcome is Outcome.COMPLETED, trace.error
-    assert shown == [[tuple(row) for row in states.tolist()] for states in trace.states[:60:15, :, :4]]
+    assert shown == [
+        [tuple(row) for row in states.tolist()] for states in trace.states[:60:15, :, :4]
+    ]
 
 
 def test_planner_that_samples_plans_the_same_each_time():
@@ -230,7 +270,9 @@ def test_planner_that_samples_plans_the_same_each_time():
 
 
 def test_planner_environment_has_kind_and_config_of_world():
-    world = World("highway-fast-v0", config={"lanes_count": 5, "action": {"type": "DiscreteAction"}})
+    world = World(
+        "highway-fast-v0", config={"lanes_count": 5, "action": {"type": "DiscreteAction"}}
+    )
     seen = []
     world.rollout(SCENARIO, lambda env: seen.append(env) or (lambda observation: 4))
     assert seen[0].config["lanes_count"] == 5
@@ -260,7 +302,9 @@ def test_every_run_gets_a_fresh_ads_from_factory(world, idle):
     assert first.states.tobytes() == second.states.tobytes()
 
 
-busy_worlds = pytest.mark.parametrize(("world", "busy"), [(HIGHWAY, (1.0, 0.001)), (GYM, 3)], ids=["Highway", "World"])
+busy_worlds = pytest.mark.parametrize(
+    ("world", "busy"), [(HIGHWAY, (1.0, 0.001)), (GYM, 3)], ids=["Highway", "World"]
+)
 
 
 @busy_worlds
@@ -285,7 +329,9 @@ def test_a_run_inside_a_run_disturbs_neither(world, busy):
 
 @busy_worlds
 def test_runs_in_several_threads_equal_sequential_runs(world, busy):
-    scenarios = [Scenario(npcs=[[PositionInstruction(cell, 20.0)]], gene_seconds=3.0) for cell in range(1, 9)]
+    scenarios = [
+        Scenario(npcs=[[PositionInstruction(cell, 20.0)]], gene_seconds=3.0) for cell in range(1, 9)
+    ]
     expected = [world.rollout(scenario, always(busy)).states.tobytes() for scenario in scenarios]
     received = {}
 
@@ -310,12 +356,17 @@ class CustomFault(Exception):  # noqa: N818
 @worlds
 @pytest.mark.parametrize("factory", [None, 3, "planner", (0.0, 0.0), object()])
 def test_what_cannot_be_called_is_no_factory(world, idle, factory):
-    with pytest.raises(AdsFactoryError, match=r"ads: expected a factory, a callable .*return lambda: MyPlanner"):
+    with pytest.raises(
+        AdsFactoryError, match=r"ads: expected a factory, a callable .*return lambda: MyPlanner"
+    ):
         world.rollout(SCENARIO, factory)
 
 
 def test_the_highway_has_no_environment_to_plan_in():
-    with pytest.raises(AdsFactoryError, match=r'without the parameter `env`.*use world=pafot\.World\("highway-v0"\)'):
+    with pytest.raises(
+        AdsFactoryError,
+        match=r'without the parameter `env`.*use world=pafot\.World\("highway-v0"\)',
+    ):
         HIGHWAY.rollout(SCENARIO, lambda env: lambda observation: (0, 0))
 
 
@@ -347,8 +398,13 @@ class Aggressive(IDMVehicle):
 @pytest.mark.parametrize("world", [Highway(duration=2), World("highway-v0", duration=2)])
 def test_vehicle_class_with_an_argument_of_its_own_is_refused_with_a_way_out(world):
     for factory in (Aggressive, lambda: Aggressive):
-        if not (isinstance(world, World) and factory is not Aggressive):  # a World wants the class itself
-            with pytest.raises(AdsFactoryError, match=r"received Aggressive with .*functools\.partial\(Aggressive, "):
+        if not (
+            isinstance(world, World) and factory is not Aggressive
+        ):  # a World wants the class itself
+            with pytest.raises(
+                AdsFactoryError,
+                match=r"received Aggressive with .*functools\.partial\(Aggressive, ",
+            ):
                 world.rollout(Scenario(npcs=[[PositionInstruction(2, 22.0)]]), factory)
     given = functools.partial(Aggressive, aggression=2)
     assert world.rollout(Scenario(npcs=[[PositionInstruction(2, 22.0)]]), given).ticks > 0

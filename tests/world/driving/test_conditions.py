@@ -112,7 +112,9 @@ def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text)
     """
     loaded = module(source)
     rows = []
-    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(loaded.ads, rows):
+    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(
+        loaded.ads, rows
+    ):
         loaded.ads(loaded.value)
     assert rows_of(rows) == [f"line 17: value is None  (value = {text}) -> False"]
 
@@ -140,9 +142,15 @@ def test_a_long_condition_is_whole_and_one_of_a_program_is_left_out_whole(module
     name = "a_name_that_is_longer_than_most"
     tests = [f"{name}.real > {number} and {name}.imag < {'1' * 40}" for number in range(9)]
     tests.append(" and ".join([f"{name} > 1"] * LONGEST))
-    rows = recorded(module, "\n".join([f"def decide({name}):", *(f"    if {each}: pass" for each in tests)]), 3.0)
+    rows = recorded(
+        module,
+        "\n".join([f"def decide({name}):", *(f"    if {each}: pass" for each in tests)]),
+        3.0,
+    )
     assert rows[1] == f"line 10: {tests[8]}  ({name}.real = 3) -> False"
-    assert [row.partition(":")[0] for row in rows] == [f"line {number}" for number in range(11, 1, -1)]
+    assert [row.partition(":")[0] for row in rows] == [
+        f"line {number}" for number in range(11, 1, -1)
+    ]
     assert re.fullmatch(r"line 11: condition of \d{5} characters -> True", rows[0])
 
 
@@ -157,7 +165,10 @@ def decide(gaps):
 
 
 def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module):
-    here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 8.0, 40.0))
+    here, there = (
+        evaluated(module, FREE, (30.0, 20.0, 40.0)),
+        evaluated(module, FREE, (30.0, 8.0, 40.0)),
+    )
     assert rows_of(here, parting(here, there, "with NPC 0 nearer", is_other=True)) == [
         "line 6: gap < 10  (gap = 20) -> False; with NPC 0 nearer True",
         "line 7: gaps  (gaps = tuple of 3) -> True",
@@ -180,7 +191,10 @@ def test_conditions_are_grouped_by_the_vehicle_whose_place_their_values_change_w
     nudges = [(30.01, 8.0, 40.0), (30.0, 8.01, 40.0), (30.0, 8.0, 40.01)]
     here, whom = whom_of(module, FREE, (30.0, 8.0, 40.0), nudges)
     assert group_conditions(here, npc=0, whom=whom) == (
-        ("NPC 0", ("line 6: gap < 10  (gap = 30) -> False", "line 5: gap < 0  (gap = 30) -> False")),
+        (
+            "NPC 0",
+            ("line 6: gap < 10  (gap = 30) -> False", "line 5: gap < 0  (gap = 30) -> False"),
+        ),
         (NOBODY, ("line 3: len(gaps) > 9  (len(gaps) = 3) -> False",)),
         ("NPC 1", ("line 6: gap < 10  (gap = 8) -> True", "line 5: gap < 0  (gap = 8) -> False")),
     )
@@ -206,7 +220,9 @@ def decide(seen):
 """
 
 
-@pytest.mark.parametrize("made", ["Track(seen[:1])", "[seen[0]]", "Wish(seen[0])", "Wish([Track(seen)[0]])"])
+@pytest.mark.parametrize(
+    "made", ["Track(seen[:1])", "[seen[0]]", "Wish(seen[0])", "Wish([Track(seen)[0]])"]
+)
 def test_what_is_in_an_object_of_the_user_says_whom_a_condition_is_about(module, made):
     nudges = [(30.01, 40.0), (30.0, 40.01)]
     here, whom = whom_of(module, TRACKS.format(made=made), (30.0, 40.0), nudges)
@@ -231,7 +247,9 @@ def test_a_decision_is_compared_until_it_goes_another_way(module):
 
 
 def test_the_cause_is_before_what_it_causes(module):
-    source = "def decide(gaps):\n    return [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99\n"
+    source = (
+        "def decide(gaps):\n    return [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99\n"
+    )
     here, there = evaluated(module, source, (20.0,)), evaluated(module, source, (5.0,))
     assert list(parting(here, there, "then", is_other=True)) == [
         "line 2: gap < 10",
@@ -240,7 +258,10 @@ def test_the_cause_is_before_what_it_causes(module):
 
 
 def test_conditions_with_other_values_are_those_of_an_answer_that_stays_the_same(module):
-    here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 52.0, 40.0))
+    here, there = (
+        evaluated(module, FREE, (30.0, 20.0, 40.0)),
+        evaluated(module, FREE, (30.0, 52.0, 40.0)),
+    )
     assert rows_of(here, parting(here, there, "with NPC 0 further away", is_other=False))[:2] == [
         "line 6: gap < 10  (gap = 20) -> False; also with NPC 0 further away",
         "line 5: gap < 0  (gap = 20) -> False; also with NPC 0 further away",
@@ -293,7 +314,10 @@ def make():
 @pytest.mark.parametrize("seen", [1, 10], ids=["decides", "raises"])
 def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
     policy = module(CLOSURE).make()
-    conditions, code = Conditions([module.root / "policy_of_conditions.py"], module.root), policy.__code__
+    conditions, code = (
+        Conditions([module.root / "policy_of_conditions.py"], module.root),
+        policy.__code__,
+    )
     for number in range(2):
         rows = []
         try:
@@ -303,7 +327,10 @@ def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
             assert (seen, rows) == (10, [])
         else:
             value = 2 + 2 * number
-            assert rows_of(rows)[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
+            assert (
+                rows_of(rows)[0]
+                == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
+            )
         assert policy.__code__ is code
     cells = policy.__closure__[0].cell_contents
     assert len(cells) == (4 if seen == 1 else 2)
@@ -321,7 +348,9 @@ def test_other_threads_are_not_recorded(module):
 
 
 @pytest.mark.parametrize(
-    "ads", ["lambda seen: running.send(seen)", "running.send", "Planner()"], ids=["closure", "method", "attribute"]
+    "ads",
+    ["lambda seen: running.send(seen)", "running.send", "Planner()"],
+    ids=["closure", "method", "attribute"],
 )
 def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module, ads):
     source = f"""
@@ -350,7 +379,10 @@ def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module
 
 
 def test_nothing_is_told_of_a_file_that_changed_or_cannot_be_read(module):
-    policy, file = module("def decide(seen):\n    return seen > 1\n").decide, module.root / "policy_of_conditions.py"
+    policy, file = (
+        module("def decide(seen):\n    return seen > 1\n").decide,
+        module.root / "policy_of_conditions.py",
+    )
     for text in ("def decide(seen):\n    return seen > 2\n", "def decide(", "\0"):
         file.write_text(text)
         rows = []

@@ -35,7 +35,10 @@ def changing(seed):
         def drive(observation):
             lane, limits = rng.randrange(observation.lanes), {}
             if rng.random() < 0.3:
-                limits = {"lateral_acceleration": rng.uniform(0.1, 9.0), "lateral_jerk": rng.uniform(0.1, 50.0)}
+                limits = {
+                    "lateral_acceleration": rng.uniform(0.1, 9.0),
+                    "lateral_jerk": rng.uniform(0.1, 50.0),
+                }
             drives = (
                 LaneCommand(lane=lane, speed=rng.uniform(0, 40), **limits),
                 LaneCommand(lane=lane, acceleration=rng.uniform(-12, 8), **limits),
@@ -96,11 +99,19 @@ lanes, frequencies = (
     st.sampled_from([(15, 1), (15, 3), (15, 15), (12, 4), (20, 10), (30, 5), (5, 1)]),
 )
 limits = st.fixed_dictionaries(
-    {"lateral_acceleration": st.sampled_from([0.5, 1.0, 3.0, 4.0]), "lateral_jerk": st.sampled_from([1.0, 5.0, 20.0])}
+    {
+        "lateral_acceleration": st.sampled_from([0.5, 1.0, 3.0, 4.0]),
+        "lateral_jerk": st.sampled_from([1.0, 5.0, 20.0]),
+    }
 )
 
 
-@given(st.lists(st.tuples(lanes, st.floats(0, 40)), min_size=5, max_size=5), st.floats(0, 39), frequencies, limits)
+@given(
+    st.lists(st.tuples(lanes, st.floats(0, 40)), min_size=5, max_size=5),
+    st.floats(0, 39),
+    frequencies,
+    limits,
+)
 def test_no_turn_is_sharper_than_the_limit(goals, speed, frequency, limits):
     physics_hz, ads_hz = frequency
 
@@ -109,11 +120,21 @@ def test_no_turn_is_sharper_than_the_limit(goals, speed, frequency, limits):
         return LaneCommand(lane=lane, speed=speed, **limits)
 
     trace = alone(decide, speed=speed, seconds=20.0, physics_hz=physics_hz, ads_hz=ads_hz)
-    assert abs(pulls(trace)).max() <= 1.05 * limits["lateral_acceleration"]  # more than 1 at full throttle alone
+    assert (
+        abs(pulls(trace)).max() <= 1.05 * limits["lateral_acceleration"]
+    )  # more than 1 at full throttle alone
 
 
-@given(st.lists(lanes, min_size=5, max_size=5), st.floats(0.5, 3.0), st.floats(1, 39), frequencies, limits)
-def test_lateral_acceleration_changes_within_limit_at_constant_speed(goals, every, speed, frequency, limits):
+@given(
+    st.lists(lanes, min_size=5, max_size=5),
+    st.floats(0.5, 3.0),
+    st.floats(1, 39),
+    frequencies,
+    limits,
+)
+def test_lateral_acceleration_changes_within_limit_at_constant_speed(
+    goals, every, speed, frequency, limits
+):
     physics_hz, ads_hz = frequency
 
     def decide(seen):
@@ -123,11 +144,18 @@ def test_lateral_acceleration_changes_within_limit_at_constant_speed(goals, ever
     assert abs(np.diff(pulls(trace)) * physics_hz).max() <= limits["lateral_jerk"]
 
 
-@table(("speed", "seconds"), [(2.0, 7.5), (5.0, 4.5), (7.0, 4.0), (10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (39.0, 4.0)])
+@table(
+    ("speed", "seconds"),
+    [(2.0, 7.5), (5.0, 4.5), (7.0, 4.0), (10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (39.0, 4.0)],
+)
 @table("physics_hz", [5, 15, 60])
 def test_next_lane_is_reached_in_time_without_overshoot(speed, seconds, physics_hz):
     trace = alone(
-        always(LaneCommand(lane=2, speed=speed))(), speed=speed, seconds=12.0, physics_hz=physics_hz, ads_hz=5
+        always(LaneCommand(lane=2, speed=speed))(),
+        speed=speed,
+        seconds=12.0,
+        physics_hz=physics_hz,
+        ads_hz=5,
     )
     y = trace.ego[:, Y]
     assert abs(y[round(seconds * physics_hz) :] - 8.0).max() < 0.2
@@ -175,7 +203,9 @@ def test_drive_takes_over_from_any_steering(angle, speed):
 
 
 def seconds_to_next_lane(*, speed=25.0, **limits):
-    y = alone(always(LaneCommand(lane=2, speed=speed, **limits))(), speed=speed, seconds=15.0).ego[:, Y]
+    y = alone(always(LaneCommand(lane=2, speed=speed, **limits))(), speed=speed, seconds=15.0).ego[
+        :, Y
+    ]
     return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
 
 
@@ -193,7 +223,9 @@ def test_larger_acceleration_limit_never_slows_lane_change(speed, jerk):
 
 @table("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
 def test_lane_may_be_any_whole_number_type(lane):
-    (action, *_) = Highway(duration=1.0).rollout(BEHIND, always(LaneCommand(lane=lane, speed=25.0))).actions
+    (action, *_) = (
+        Highway(duration=1.0).rollout(BEHIND, always(LaneCommand(lane=lane, speed=25.0))).actions
+    )
     assert (action, type(action.lane)) == (LaneCommand(lane=2, speed=25.0), int)
 
 
@@ -229,7 +261,9 @@ def test_pair_after_a_drive_is_held_as_usual():
 def test_empty_drive_or_missing_lane_is_bad_action(drive, said):
     error = Highway().rollout(BEHIND, always(drive)).error
     assert error.kind == "BadAction"
-    assert re.match(f"expected pafot.LaneCommand with {said}.*, received LaneCommand", error.message)
+    assert re.match(
+        f"expected pafot.LaneCommand with {said}.*, received LaneCommand", error.message
+    )
 
 
 def test_policy_of_an_environment_cannot_answer_with_drive():
@@ -243,7 +277,10 @@ def test_policy_of_an_environment_cannot_answer_with_drive():
 def test_speeds_in_kilometres_an_hour_are_doubted():
     trace = Highway(duration=1.0).rollout(BEHIND, always(LaneCommand(lane=1, speed=90.0)))
     assert unit_doubt(trace).startswith("the ADS requested a speed of 90 m/s")
-    assert unit_doubt(Highway(duration=1.0).rollout(BEHIND, always(LaneCommand(lane=1, speed=25.0)))) == ""
+    assert (
+        unit_doubt(Highway(duration=1.0).rollout(BEHIND, always(LaneCommand(lane=1, speed=25.0))))
+        == ""
+    )
 
 
 # --- on roads that bend, which a planner sees as if they were straight
@@ -252,7 +289,9 @@ def test_speeds_in_kilometres_an_hour_are_doubted():
 def driven_on(env_id, action, seconds=6.0):
     world = World(env_id, duration=seconds, planner_hz=15)
     lane, speed = world.start
-    scenario = Scenario(npcs=[[PositionInstruction(6, 1.0)]], ego_lane=lane, ego_speed=speed, gene_seconds=seconds)
+    scenario = Scenario(
+        npcs=[[PositionInstruction(6, 1.0)]], ego_lane=lane, ego_speed=speed, gene_seconds=seconds
+    )
     return world, world.rollout(scenario, lambda: action)
 
 
@@ -268,7 +307,9 @@ def test_a_lane_that_bends_is_kept(env_id):
 def test_another_lane_of_a_bend_is_driven_to():
     seen = []
     _, trace = driven_on(
-        "racetrack-v0", lambda now: seen.append(now) or LaneCommand(lane=int(now.time < 4), speed=9.0), 9.0
+        "racetrack-v0",
+        lambda now: seen.append(now) or LaneCommand(lane=int(now.time < 4), speed=9.0),
+        9.0,
     )
     assert trace.outcome is Outcome.COMPLETED
     kept = [abs(now.ego.y - now.lane_centres[now.time < 4]) for now in seen if now.time % 4 > 3.9]

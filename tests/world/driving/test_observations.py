@@ -27,7 +27,9 @@ from tests.helpers.road_cases import ROADS
 from tests.helpers.stages import mostly_oracle
 
 ranges = st.dictionaries(
-    st.sampled_from(FEATURES), st.tuples(st.integers(-40, 0) | st.floats(-3, 0), st.floats(1, 100)), max_size=5
+    st.sampled_from(FEATURES),
+    st.tuples(st.integers(-40, 0) | st.floats(-3, 0), st.floats(1, 100)),
+    max_size=5,
 )
 
 
@@ -47,7 +49,12 @@ def tables(kind):
 shares = st.floats(0, 1, exclude_max=True)
 # The lane, the distance along it and across it, the angle to it, the speed, and where its route ends, if it has one.
 vehicles = st.tuples(
-    *(shares, st.floats(-10, 200), st.just(0.0) | st.floats(-9, 9), st.just(0.0) | st.floats(-4, 4)),
+    *(
+        shares,
+        st.floats(-10, 200),
+        st.just(0.0) | st.floats(-9, 9),
+        st.just(0.0) | st.floats(-4, 4),
+    ),
     *(st.sampled_from([0.0, 20.0]) | st.floats(-5, 42), st.none() | shares),
 )
 
@@ -74,11 +81,14 @@ def populate(env, ego_class, states, objects=()):
     """Put vehicles of three classes on an environment's road, the ego somewhere among them, and objects."""
     ego = placed(ego_class, env.road, states[0])
     others = [
-        placed((StockVehicle, IDMVehicle, MDPVehicle)[k % 3], env.road, state) for k, state in enumerate(states[1:])
+        placed((StockVehicle, IDMVehicle, MDPVehicle)[k % 3], env.road, state)
+        for k, state in enumerate(states[1:])
     ]
     env.road.vehicles = [*others[:2], ego, *others[2:]]
     env.road.vehicles[-1].LENGTH = 12.0
-    env.road.objects = [placed((Obstacle, Landmark)[k % 2], env.road, state) for k, state in enumerate(objects)]
+    env.road.objects = [
+        placed((Obstacle, Landmark)[k % 2], env.road, state) for k, state in enumerate(objects)
+    ]
     env.controlled_vehicles = [ego]
 
 
@@ -102,14 +112,23 @@ def assert_the_same_is_observed(env, config, observers):
                 env.observation_type.observe = None  # must not be called
                 received = [fast() for _ in range(2)]
             assert [each.tobytes() for each in received] == [each.tobytes() for each in expected]
-            assert [(each.dtype, each.shape) for each in received] == [(each.dtype, each.shape) for each in expected]
-            assert vars(env.observation_type).get("features_range") == vars(stock).get("features_range")
+            assert [(each.dtype, each.shape) for each in received] == [
+                (each.dtype, each.shape) for each in expected
+            ]
+            assert vars(env.observation_type).get("features_range") == vars(stock).get(
+                "features_range"
+            )
 
 
 EVERY_ROAD = pytest.mark.parametrize(
     "env_id",
     mostly_oracle(
-        ("highway-v0", *ROADS), "highway-v0", "merge-v1", "racetrack-v1", "intersection-v1", "lane-keeping-v0"
+        ("highway-v0", *ROADS),
+        "highway-v0",
+        "merge-v1",
+        "racetrack-v1",
+        "intersection-v1",
+        "lane-keeping-v0",
     ),
 )
 several = st.lists(vehicles, min_size=1, max_size=8)
@@ -144,7 +163,9 @@ def test_destination_is_seen_up_to_the_end_of_the_route(observers, feature):
     ego = MDPVehicle(env.road, lane.position(lane.length - 0.4, 0.3), lane.heading_at(0.0), 8.0)
     ego.route = [index]
     env.road.vehicles = env.controlled_vehicles = [ego]
-    assert_the_same_is_observed(env, {"type": "Kinematics", "features": [feature], "absolute": True}, observers)
+    assert_the_same_is_observed(
+        env, {"type": "Kinematics", "features": [feature], "absolute": True}, observers
+    )
     x, y = (lane.position(lane.length, 0.0) - ego.position) / 0.5
     env.observation_type = observation_factory(env, {"type": "Kinematics", "features": [feature]})
     assert observer(env)()[0, 0] == pytest.approx(x if feature == "cos_d" else y, abs=1e-6)
@@ -157,7 +178,10 @@ def env():
 
 def test_equally_distant_vehicles_come_in_road_order(env):
     ego = StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0)
-    env.road.vehicles = [ego, *(StockVehicle(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
+    env.road.vehicles = [
+        ego,
+        *(StockVehicle(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0)),
+    ]
     env.controlled_vehicles = [ego]
     env.observation_type = observation_factory(env, {"type": "Kinematics", "vehicles_count": 3})
     assert observer(env)().tobytes() == env.observation_type.observe().tobytes()
@@ -188,7 +212,10 @@ class Ghost(Vehicle):
 
 
 def test_vehicle_that_describes_itself_is_left_to_highway_env(env):
-    env.road.vehicles = [StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0), Ghost(env.road, (320.0, 4.0))]
+    env.road.vehicles = [
+        StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0),
+        Ghost(env.road, (320.0, 4.0)),
+    ]
     env.controlled_vehicles = env.road.vehicles[:1]
     env.observation_type = observation_factory(env, {"type": "Kinematics"})
     fast = observer(env)
@@ -196,7 +223,9 @@ def test_vehicle_that_describes_itself_is_left_to_highway_env(env):
     assert fast().tobytes() == env.observation_type.observe().tobytes()
 
 
-SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]], gene_seconds=4.0)
+SCENARIO = Scenario(
+    npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]], gene_seconds=4.0
+)
 
 
 def test_policy_may_change_its_own_observation():

@@ -17,7 +17,11 @@ from tests.helpers.c_library import c_library
 from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes
 
-CHAINS = ((5, 17.4), (4, 26.6), (4, 13.7)), ((4, 26.4), (3, 13.3), (2, 23.6)), ((3, 17.5), (2, 21.0), (3, 25.5))
+CHAINS = (
+    ((5, 17.4), (4, 26.6), (4, 13.7)),
+    ((4, 26.4), (3, 13.3), (2, 23.6)),
+    ((3, 17.5), (2, 21.0), (3, 25.5)),
+)
 SCENARIO = Scenario(
     npcs=[[PositionInstruction(*gene) for gene in chain] for chain in CHAINS],
     seed=11,
@@ -25,7 +29,12 @@ SCENARIO = Scenario(
     ego_speed=22.0,
     gene_seconds=3.0,
 )
-EVERYTHING = {"range": 40.0, "latency": 0.5, "noise": {"position": 0.5, "speed": 1.0}, "dropout": 0.2}
+EVERYTHING = {
+    "range": 40.0,
+    "latency": 0.5,
+    "noise": {"position": 0.5, "speed": 1.0},
+    "dropout": 0.2,
+}
 
 
 class Watching:
@@ -57,7 +66,10 @@ def delayed(rows, ticks):
         yield line[0]
 
 
-PLANNERS = {"loop": pafot.Highway(duration=9.0).rollout, "gymnasium": pafot.Highway(duration=9.0).rollout_in_gym}
+PLANNERS = {
+    "loop": pafot.Highway(duration=9.0).rollout,
+    "gymnasium": pafot.Highway(duration=9.0).rollout_in_gym,
+}
 
 
 @table("way", PLANNERS)
@@ -69,13 +81,17 @@ def test_planner_sees_others_delayed_and_itself_exactly(way):
         tick = 3 * decision
         assert seen.time == tick / 15
         assert seen.ego[:4] == tuple(trace.ego[tick, [X, Y, HEADING, SPEED]])
-        assert [each[:4] for each in seen.others] == [tuple(row) for row in lines[tick][:, [X, Y, HEADING, SPEED]]]
+        assert [each[:4] for each in seen.others] == [
+            tuple(row) for row in lines[tick][:, [X, Y, HEADING, SPEED]]
+        ]
 
 
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_env_step_shows_a_planner_the_same(name):
     with c_library():
-        (trace, first), (stock, again) = (run(way, Watching, **{name: EVERYTHING[name]}) for way in PLANNERS.values())
+        (trace, first), (stock, again) = (
+            run(way, Watching, **{name: EVERYTHING[name]}) for way in PLANNERS.values()
+        )
     assert again.shown == first.shown != run(PLANNERS["loop"], Watching)[1].shown
     assert stock.states.tobytes() == trace.states.tobytes()
 
@@ -96,7 +112,9 @@ def test_range_applies_at_the_seen_moment():
 def test_vehicle_lane_is_that_of_its_seen_position():
     _, ads = run(PLANNERS["loop"], Watching, noise={"position": 3.0})
     seen = [each for observation in ads.shown for each in observation.others]
-    assert {each.lane == min(range(4), key=lambda lane: abs(each.y - 4.0 * lane)) for each in seen} == {True}
+    assert {
+        each.lane == min(range(4), key=lambda lane: abs(each.y - 4.0 * lane)) for each in seen
+    } == {True}
 
 
 class OfItsOwn:
@@ -144,7 +162,9 @@ def test_what_cannot_be_is_refused(make, error, message):
         make()
 
 
-@pytest.mark.parametrize("world", [pafot.Highway(), pafot.World("highway-v0"), pafot.World("merge-v0")])
+@pytest.mark.parametrize(
+    "world", [pafot.Highway(), pafot.World("highway-v0"), pafot.World("merge-v0")]
+)
 def test_hidden_perception_inside_a_factory_is_refused(world):
     def inner():
         return pafot.Perception(Watching, noise={"speed": 1.0})()
@@ -169,7 +189,8 @@ def test_functools_wrapper_reveals_the_perception_it_wraps():
 @pytest.mark.parametrize("rollout", ["rollout", "rollout_in_gym"])
 def test_policy_for_the_observations_of_an_environment_is_refused(rollout):
     with pytest.raises(
-        AdsFactoryError, match=r"^ads: expected the ADS in a pafot\.Perception to be a planner in SI units"
+        AdsFactoryError,
+        match=r"^ads: expected the ADS in a pafot\.Perception to be a planner in SI units",
     ):
         getattr(pafot.World("highway-v0", {"action": {"type": "DiscreteMetaAction"}}), rollout)(
             SCENARIO, pafot.Perception(lambda: lambda observation: 1, latency=0.2)

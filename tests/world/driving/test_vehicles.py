@@ -33,11 +33,18 @@ def parallel(lanes=3, *, x=0.0, y=0.0, width=4.0, length=1000.0):
     network = RoadNetwork()
     for index in range(lanes):
         lane_y = y + width * index
-        network.add_lane("a", "b", StraightLane([x, lane_y], [x + length, lane_y], width=width, speed_limit=25))
+        network.add_lane(
+            "a", "b", StraightLane([x, lane_y], [x + length, lane_y], width=width, speed_limit=25)
+        )
     return network
 
 
-NETWORKS = [RoadNetwork.straight_road_network(4), parallel(), parallel(5, x=100.0, y=-20.0, width=3.5), parallel(1)]
+NETWORKS = [
+    RoadNetwork.straight_road_network(4),
+    parallel(),
+    parallel(5, x=100.0, y=-20.0, width=3.5),
+    parallel(1),
+]
 
 
 @given(
@@ -48,9 +55,9 @@ NETWORKS = [RoadNetwork.straight_road_network(4), parallel(), parallel(5, x=100.
 )
 def test_the_closest_lane_is_highway_envs(network, x, y, heading):
     position = np.array([x, y])
-    assert SearchedLanes(network).get_closest_lane_index(position, heading) == network.get_closest_lane_index(
+    assert SearchedLanes(network).get_closest_lane_index(
         position, heading
-    )
+    ) == network.get_closest_lane_index(position, heading)
 
 
 class Shifted(StraightLane):
@@ -133,7 +140,9 @@ def crossroads(kind, seed, ego_class):
 def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
     told = 0
     for seed in range(4):
-        stock, own = (crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad))
+        stock, own = (
+            crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad)
+        )
         for _ in range(45):
             for road in (stock, own):
                 road.vehicles[0].act()
@@ -151,7 +160,9 @@ def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
 def test_own_network_has_lanes_of_highway_env():
     def described(network):
         lanes = network.lanes_list()
-        return [(e.start.tolist(), e.end.tolist(), e.width, e.speed_limit, e.line_types) for e in lanes]
+        return [
+            (e.start.tolist(), e.end.tolist(), e.width, e.speed_limit, e.line_types) for e in lanes
+        ]
 
     stock = RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8)
     assert described(straight_network(4, 900.0, 4.0, 26.8)) == described(stock)
@@ -177,7 +188,14 @@ def from_the_right():
 
 
 @table(
-    "network", [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()]
+    "network",
+    [
+        RoadNetwork(),
+        curved(),
+        unequal(),
+        RoadNetwork.straight_road_network(3, angle=0.3),
+        from_the_right(),
+    ],
 )
 def test_roads_not_straight_along_x_are_recognised(network):
     assert straight_road(network) is None

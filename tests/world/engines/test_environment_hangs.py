@@ -21,7 +21,13 @@ from pytest_pafot.support.process import interrupted_by_signals
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.guard import hang_guard
-from pytest_pafot.world.guard.hang_guard import AdsHang, LastResort, WorldHang, last_resort, runs_end_in
+from pytest_pafot.world.guard.hang_guard import (
+    AdsHang,
+    LastResort,
+    WorldHang,
+    last_resort,
+    runs_end_in,
+)
 from pytest_pafot.world.gym_environment import EnvironmentGuard
 from tests.helpers.stopped_clock import StoppedClock
 
@@ -135,18 +141,25 @@ drivers = pytest.mark.parametrize("driven", [by_policy, by_class, by_reference])
 
 @drivers
 @pytest.mark.parametrize(
-    ("wrapper", "name"), [(Slow, "Slow.step"), (Swallowing, "Swallowing.step"), (Repeating, "Repeating.step")]
+    ("wrapper", "name"),
+    [(Slow, "Slow.step"), (Swallowing, "Swallowing.step"), (Repeating, "Repeating.step")],
 )
 def test_step_that_does_not_return_ends_the_run_as_a_hang(clock, wrapper, name, driven):
     trace = driven(wrapped(wrapper))
-    assert (trace.outcome, trace.error.kind, trace.error.interrupted) == (Outcome.HANG, "WorldHang", True)
+    assert (trace.outcome, trace.error.kind, trace.error.interrupted) == (
+        Outcome.HANG,
+        "WorldHang",
+        True,
+    )
     assert trace.error.message == f"{name} did not return within {MOST} and was interrupted"
     assert trace.ticks == trace.error.tick > LATE
     assert "in step" in trace.error.traceback
     assert "pytest_pafot" not in trace.error.traceback
 
 
-@pytest.mark.parametrize(("wrapper", "name"), [(Seeing, "Seeing.observation"), (Planting, "Planting.step")])
+@pytest.mark.parametrize(
+    ("wrapper", "name"), [(Seeing, "Seeing.observation"), (Planting, "Planting.step")]
+)
 def test_method_of_a_wrapper_is_named_and_none_of_a_library(clock, wrapper, name):
     trace = by_policy(wrapped(wrapper))
     assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, name)
@@ -163,12 +176,17 @@ def test_innermost_method_of_the_user_is_named(clock, register):
     register("simulating-v0", entry_point=Simulating)
     world = World("simulating-v0", duration=10.0)
     for trace in (by_policy(world), world.rollout_in_gym(SCENARIO, idle)):
-        assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, "Simulating._simulate")
+        assert (trace.outcome, trace.error.message.split()[0]) == (
+            Outcome.HANG,
+            "Simulating._simulate",
+        )
 
 
 def test_nothing_that_is_said_names_the_policy(clock):
     run = Run(by_policy(wrapped(Slow)))
-    assert run.explain().startswith("environment hangs after 1.0 s: WorldHang: Slow.step did not return within 300 s")
+    assert run.explain().startswith(
+        "environment hangs after 1.0 s: WorldHang: Slow.step did not return within 300 s"
+    )
     text = ads_text(ads_failure(run))
     assert text.startswith("the environment failed: WorldHang: Slow.step did")
     assert "policy" not in text
@@ -183,7 +201,8 @@ def test_reset_that_does_not_return_ends_the_run_or_the_look_at_the_world(clock)
     assert trace.error.message.startswith("Starting.reset did not return")
     Starting.left = 1
     with pytest.raises(
-        WorldError, match=r"one in which Starting.reset did not return within 300 s .* increase the world's hang_limit"
+        WorldError,
+        match=r"one in which Starting.reset did not return within 300 s .* increase the world's hang_limit",
     ):
         wrapped(Starting).check_fits(SCENARIO)
 

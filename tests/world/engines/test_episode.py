@@ -54,7 +54,9 @@ def test_policy_crashes_where_it_does_without_this_package(env_id, config, seeds
 def test_vehicle_class_and_planner_take_the_place_of_the_ego():
     seeds = range(6)
     assert not any(drive_episode(FAST, idm_mobil.make, seed).crashed for seed in seeds)
-    assert any(drive_episode(FAST, constant_speed.make, seed, is_planner=True).crashed for seed in seeds)
+    assert any(
+        drive_episode(FAST, constant_speed.make, seed, is_planner=True).crashed for seed in seeds
+    )
 
 
 def test_crash_counts_though_the_environment_forgets_it(monkeypatch):
@@ -68,8 +70,14 @@ def test_crash_counts_though_the_environment_forgets_it(monkeypatch):
     drives = [(each, seed) for each in (undecided, constant_speed.make) for seed in range(6)]
     episodes = [drive_episode(FAST, *each, is_planner=each[0] is not undecided) for each in drives]
     monkeypatch.setattr(HighwayEnvFast, "step", forgetful)
-    assert [drive_episode(FAST, *each, is_planner=each[0] is not undecided) for each in drives] == episodes
-    assert {each.crashed for each in episodes[:6]} == {each.crashed for each in episodes[6:]} == {True, False}
+    assert [
+        drive_episode(FAST, *each, is_planner=each[0] is not undecided) for each in drives
+    ] == episodes
+    assert (
+        {each.crashed for each in episodes[:6]}
+        == {each.crashed for each in episodes[6:]}
+        == {True, False}
+    )
 
 
 def test_planner_sees_the_traffic_and_its_own_last_controls():
@@ -122,13 +130,17 @@ def test_failing_or_hanging_ads_ends_its_episode():
 
 
 def test_a_planner_needs_a_straight_road():
-    with pytest.raises(WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"):
+    with pytest.raises(
+        WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"
+    ):
         drive_episode(pafot.World("merge-v0"), constant_speed.make, 0, is_planner=True)
 
 
 def test_imperfect_sight_needs_a_planner():
     blind = pafot.Perception(constant_speed.make, range=1.0)
-    with pytest.raises(AdsFactoryError, match=r"expected the ADS in a pafot\.Perception to be a planner"):
+    with pytest.raises(
+        AdsFactoryError, match=r"expected the ADS in a pafot\.Perception to be a planner"
+    ):
         drive_episode(FAST, blind, 0)
     seen = []
     looks = pafot.Perception(lambda: lambda now: seen.append(now) or (0.0, 0.0), range=1.0)
@@ -145,7 +157,9 @@ def test_environment_needing_its_own_ego_says_so():
 def test_environment_that_counts_its_steps_ends(monkeypatch):
     monkeypatch.setattr(gymnasium.spec("highway-fast-v0"), "max_episode_steps", 10)
     asked = []
-    drive_episode(pafot.World("highway-fast-v0", SHORT), lambda: lambda seen: asked.append(seen) or 1, 0)
+    drive_episode(
+        pafot.World("highway-fast-v0", SHORT), lambda: lambda seen: asked.append(seen) or 1, 0
+    )
     assert len(asked) == 10
 
 

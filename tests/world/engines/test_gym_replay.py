@@ -20,7 +20,10 @@ from tests.helpers.world_cases import constant_speed, random_scenario
 
 def scenarios(seed, count, **arguments):
     rng = random.Random(seed)
-    return [random_scenario(rng, **{"lanes": 4, "speed_limit": 26.8, "npcs": 2, **arguments}) for _ in range(count)]
+    return [
+        random_scenario(rng, **{"lanes": 4, "speed_limit": 26.8, "npcs": 2, **arguments})
+        for _ in range(count)
+    ]
 
 
 def test_environment_drives_its_own_road_and_vehicles():
@@ -40,7 +43,10 @@ def test_environment_drives_its_own_road_and_vehicles():
 def test_idm_with_a_constant_of_zero_drives_as_highway_envs_code(constant):
     """The compiled model cannot divide by it, so that highway-env's own code drives."""
     ads = type("Zero", (IDMVehicle,), {constant: 0.0})
-    for world, speed in ((Highway(duration=6.0), 20.0), (World("roundabout-v0", duration=6.0), 8.0)):
+    for world, speed in (
+        (Highway(duration=6.0), 20.0),
+        (World("roundabout-v0", duration=6.0), 8.0),
+    ):
         slow = Scenario(npcs=[[PositionInstruction(2, 3.0)]], ego_lane=1, ego_speed=speed)
         with c_library():
             assert differences(world.rollout(slow, ads), world.rollout_in_gym(slow, ads)) == []
@@ -55,5 +61,8 @@ def test_two_runs_that_differ_are_told_apart():
     assert disagreement(Run(hit), Run(safe)) == "collision at 6.3 s, then safe for 10.0 s"
     slower = world.rollout(ends_otherwise, lambda: lambda observation: (-2.9, 0.0))
     assert disagreement(Run(safe), Run(slower)) == "x of the ego differs by 0.5 m after 3.2 s"
-    later = world.rollout(Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)), constant_speed)
+    later = world.rollout(
+        Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)),
+        constant_speed,
+    )
     assert "then <Collision" in disagreement(Run(hit), Run(later))

@@ -45,7 +45,11 @@ class Timed(HighwayEnvFast):
 
     @classmethod
     def default_config(cls):
-        return super().default_config() | {"simulation_frequency": 10, "policy_frequency": 10, "least": 1.0}
+        return super().default_config() | {
+            "simulation_frequency": 10,
+            "policy_frequency": 10,
+            "least": 1.0,
+        }
 
     def _is_truncated(self):
         return self.time >= self.config["least"]
@@ -65,7 +69,13 @@ class Rewarded(gymnasium.Wrapper):
 class Fenced(gymnasium.Wrapper):
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
-        return seen, reward, terminated, truncated or self.unwrapped.vehicle.position[0] > 300.0, info
+        return (
+            seen,
+            reward,
+            terminated,
+            truncated or self.unwrapped.vehicle.position[0] > 300.0,
+            info,
+        )
 
 
 def limited(env):
@@ -100,7 +110,12 @@ CASES = {
 def scenario_in(world):
     """Return a scenario of 30 s in which an NPC stays behind, where it does not matter."""
     lane, speed = (1, 20.0) if world.start is None else world.start
-    return Scenario(npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3], ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
+    return Scenario(
+        npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3],
+        ego_lane=lane,
+        ego_speed=speed,
+        gene_seconds=10.0,
+    )
 
 
 def by_env_step(env_id, world, action, start):
@@ -135,11 +150,16 @@ def test_a_run_ends_at_the_tick_of_env_step(register, case):
     scenario = scenario_in(world)
     trace = world.rollout(scenario, lambda: lambda seen: action)
     assert trace.ticks == by_env_step("ending-v0", world, action, trace.ego[0])
-    assert (trace.ended, trace.outcome) == (name, Outcome.OFF_ROAD if case == "off the road" else Outcome.COMPLETED)
+    assert (trace.ended, trace.outcome) == (
+        name,
+        Outcome.OFF_ROAD if case == "off the road" else Outcome.COMPLETED,
+    )
     again = world.rollout_in_gym(scenario, lambda: lambda seen: action)
     assert (again.ended, again.outcome) == (trace.ended, trace.outcome)
     assert again.states == pytest.approx(trace.states, abs=1e-9)
-    longer = World("ending-v0", **given, ends="duration").rollout(scenario, lambda: lambda seen: action)
+    longer = World("ending-v0", **given, ends="duration").rollout(
+        scenario, lambda: lambda seen: action
+    )
     assert (longer.ended, longer.ticks > trace.ticks) == ("", True)
     assert longer.states[: len(trace.states)].tobytes() == trace.states.tobytes()
 
@@ -155,7 +175,9 @@ def idle():
     return lambda seen: IDLE
 
 
-@pytest.mark.parametrize("ego", [constant_speed, lambda: IDMVehicle, lambda: Careless, lambda: ControlledVehicle])
+@pytest.mark.parametrize(
+    "ego", [constant_speed, lambda: IDMVehicle, lambda: Careless, lambda: ControlledVehicle]
+)
 def test_every_kind_of_ego_ends_at_the_goal(register, ego):
     """Decisions are once a second, except those of the planner."""
     register("ending-v0", entry_point=Goal)
@@ -220,7 +242,9 @@ class LooksAhead(OwnStep):
     (Goal, [Twice], "Goal._is_terminated"),
     (OwnStep, None, "OwnStep.step"),
 ])  # fmt: skip
-def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_point, wrappers, name):
+def test_what_only_steps_end_ends_at_their_tick_whoever_drives(
+    register, entry_point, wrappers, name
+):
     """On an empty road, who keeps the speed drives as the idle action does."""
     register("ending-v0", entry_point=entry_point)
     world = World("ending-v0", wrappers=wrappers)
@@ -235,7 +259,9 @@ def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_p
         world.rollout(scenario, lambda: Careless),
     ):
         assert (other.ended, other.ticks, other.outcome) == (name, ticks, Outcome.COMPLETED)
-    longer = World("ending-v0", wrappers=wrappers, ends="duration").rollout_reference(scenario, "careful-human")
+    longer = World("ending-v0", wrappers=wrappers, ends="duration").rollout_reference(
+        scenario, "careful-human"
+    )
     assert (longer.ended, longer.duration) == ("", 30.0)
 
 
@@ -296,7 +322,11 @@ class Old(gymnasium.Wrapper):
 
 @pytest.mark.parametrize(
     ("wrapper", "ticks", "error"),
-    [(FailingReset, 0, "KeyError: 'start'"), (Doubtful, 5, "ValueError: "), (Old, 5, "ValueError: step: expected (o")],
+    [
+        (FailingReset, 0, "KeyError: 'start'"),
+        (Doubtful, 5, "ValueError: "),
+        (Old, 5, "ValueError: step: expected (o"),
+    ],
 )
 def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, error):
     world = World("highway-fast-v0", wrappers=[wrapper])
@@ -314,12 +344,17 @@ class Lazy(gymnasium.Wrapper):
 
 def test_wrappers_that_fail_or_do_nothing_or_take_long_do_not_stop_reference_drivers(register):
     scenario = scenario_in(World("highway-fast-v0"))
-    failed = World("highway-fast-v0", wrappers=[Failing]).rollout_reference(scenario, "careful-human")
+    failed = World("highway-fast-v0", wrappers=[Failing]).rollout_reference(
+        scenario, "careful-human"
+    )
     expected = "Failing failed: KeyError: 'fence'"
     assert (failed.ended, failed.ticks, failed.outcome) == (expected, 30, Outcome.INVALID)
     register("ending-v0", entry_point=Wrong)
     failed = World("ending-v0", wrappers=[Endless]).rollout_reference(scenario, "careful-human")
-    assert (failed.ended, failed.outcome) == ("Wrong._is_terminated failed: KeyError: 'goal'", Outcome.INVALID)
+    assert (failed.ended, failed.outcome) == (
+        "Wrong._is_terminated failed: KeyError: 'goal'",
+        Outcome.INVALID,
+    )
     slow = World("highway-fast-v0", wrappers=[Thinking], hang_limit=0.2, duration=2.0)
     for driven in (slow.rollout(scenario, idle), slow.rollout_reference(scenario, "careful-human")):
         assert (driven.ended, driven.outcome, driven.duration) == ("", Outcome.COMPLETED, 2.0)
@@ -329,11 +364,18 @@ def test_wrappers_that_fail_or_do_nothing_or_take_long_do_not_stop_reference_dri
 
 def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_collision():
     """It takes over a tick before the collision, and the wrappers' step goes on after it."""
-    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
+    stops = Scenario(
+        npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0
+    )
     plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice] * 4)
     hit = plain.rollout(stops, idle)
-    first, second = (world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped))
-    assert (second.outcome, second.ticks % 80 < 75) == (Outcome.COLLISION, True)  # a step is 16 of 5 ticks
+    first, second = (
+        world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped)
+    )
+    assert (second.outcome, second.ticks % 80 < 75) == (
+        Outcome.COLLISION,
+        True,
+    )  # a step is 16 of 5 ticks
     assert second.states.tobytes() == first.states.tobytes()
 
 
@@ -359,8 +401,12 @@ class Whole(gymnasium.Wrapper):
 @pytest.mark.parametrize("duration", [20.0, 2.0])
 def test_the_episode_is_over_for_wrappers_when_the_run_is(register, duration):
     register("ending-v0", entry_point=Unlimited)
-    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
-    plain, wrapped = (World("ending-v0", duration=duration, wrappers=each) for each in (None, [Whole]))
+    stops = Scenario(
+        npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0
+    )
+    plain, wrapped = (
+        World("ending-v0", duration=duration, wrappers=each) for each in (None, [Whole])
+    )
     for ads in (idle, lambda: Blind):
         first, second = (world.rollout(stops, ads) for world in (plain, wrapped))
         assert (second.outcome, second.ticks, second.ended) == (first.outcome, first.ticks, "")
@@ -372,7 +418,9 @@ def test_a_policy_has_no_episodes_that_a_step_of_the_older_gym_ends_by_its_info(
     world = World("highway-fast-v0", wrappers=[Old])
     trace = world.rollout(scenario_in(world), idle)
     assert trace.outcome is Outcome.ADS_ERROR
-    assert trace.error.message.startswith("step: expected (observation, reward, terminated, truncated, info), as in g")
+    assert trace.error.message.startswith(
+        "step: expected (observation, reward, terminated, truncated, info), as in g"
+    )
 
 
 class Wrong(HighwayEnvFast):
@@ -385,7 +433,10 @@ def test_an_error_in_an_end_makes_the_run_invalid_and_is_named(register, wrapper
     register("ending-v0", entry_point=Wrong)
     world = World("ending-v0", wrappers=wrappers)
     trace = world.rollout(scenario_in(world), idle)
-    assert (trace.outcome, trace.ended) == (Outcome.INVALID, "Wrong._is_terminated failed: KeyError: 'goal'")
+    assert (trace.outcome, trace.ended) == (
+        Outcome.INVALID,
+        "Wrong._is_terminated failed: KeyError: 'goal'",
+    )
     assert trace.users_error_text in Run(trace).explain()
 
 
@@ -399,7 +450,9 @@ def test_a_file_says_what_ends_runs_only_where_that_matters(register):
         assert world.to_dict() == {**World(env_id).to_dict(), "ends": "duration"}
         assert from_dict(world.to_dict()).ends == "duration"
     assert World("highway-v0", wrappers=[Fenced], ends="duration").to_dict()["ends"] == "duration"
-    with pytest.raises(WorldError, match="ends: expected 'environment' or 'duration', received 'never'"):
+    with pytest.raises(
+        WorldError, match="ends: expected 'environment' or 'duration', received 'never'"
+    ):
         World("highway-v0", ends="never")
 
 
@@ -414,7 +467,9 @@ def test_a_failure_behind_the_end_has_drifted(register):
     now = World("ending-v0").rollout(stops, idle)
     assert not handles(finding, Run(now))
     said = unhandled(finding, Run(now))
-    assert said == "Goal._is_terminated ended the run after 3.0 s, before the saved failure at 6.4 s"
+    assert (
+        said == "Goal._is_terminated ended the run after 3.0 s, before the saved failure at 6.4 s"
+    )
 
 
 class Judge:
@@ -449,7 +504,11 @@ class Remembering(HighwayEnvFast):
 @pytest.mark.parametrize("name", ["_is_terminated", "_is_truncated"])
 def test_what_an_end_remembers_is_that_of_its_run_alone(register, name):
     """An episode ends with its seventh step, whatever ran before, and whoever drives."""
-    ends = type("Ends", (Remembering,), {each: getattr(HighwayEnvFast, each) for each in ENDS if each != name})
+    ends = type(
+        "Ends",
+        (Remembering,),
+        {each: getattr(HighwayEnvFast, each) for each in ENDS if each != name},
+    )
     register("ending-v0", entry_point=ends)
     world, planners = World("ending-v0"), World("ending-v0", planner_hz=5)
     scenario = scenario_in(world)
@@ -469,7 +528,13 @@ class Chance(HighwayEnvFast):
 class Lottery(gymnasium.Wrapper):
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
-        return seen, reward, terminated or random.random() < 0.2 or np.random.random() < 0.1, truncated, info
+        return (
+            seen,
+            reward,
+            terminated or random.random() < 0.2 or np.random.random() < 0.1,
+            truncated,
+            info,
+        )
 
 
 @pytest.mark.parametrize("given", [{}, {"wrappers": [Lottery]}])
@@ -484,7 +549,9 @@ def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register, given
         np.random.seed(seed)
         by_reference = world.rollout_reference(scenario, "careful-human")
         taken = world.take_over(trace, 10, "careful-human")
-        seen.append((GENERATORS.run(world.rollout, scenario, idle).ticks, by_reference.ticks, taken.ticks))
+        seen.append(
+            (GENERATORS.run(world.rollout, scenario, idle).ticks, by_reference.ticks, taken.ticks)
+        )
         assert random.random() == random.Random(seed).random()  # given back
     assert len({*seen}) == 1
     assert len({*seen[0]}) == 1

@@ -18,7 +18,11 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from pytest_pafot.algorithms import sample
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import (
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE
 from pytest_pafot.world import World, WorldError
@@ -74,15 +78,25 @@ def delayed(env):
     for each in others(env):
         acceleration = 0.0
         if isinstance(each, IDMVehicle):
-            acceleration = each.acceleration(each, *env.road.neighbour_vehicles(each, each.lane_index))
-        found.append((each.position[0] + 0.3 * each.speed + 0.045 * acceleration, each.speed + 0.3 * acceleration))
+            acceleration = each.acceleration(
+                each, *env.road.neighbour_vehicles(each, each.lane_index)
+            )
+        found.append(
+            (
+                each.position[0] + 0.3 * each.speed + 0.045 * acceleration,
+                each.speed + 0.3 * acceleration,
+            )
+        )
     return found
 
 
 def shares_of_lanes(env):
     """What a reward for each vehicle nearby counts: the lane that it aims at, if it does, and whether it crashed."""
     near = env.road.close_vehicles_to(env.vehicle, 200.0, count=4, see_behind=True)
-    lanes = [each.target_lane_index if isinstance(each, ControlledVehicle) else each.lane_index for each in near]
+    lanes = [
+        each.target_lane_index if isinstance(each, ControlledVehicle) else each.lane_index
+        for each in near
+    ]
     return [(lane[2] / 3, float(each.crashed)) for lane, each in zip(lanes, near, strict=True)]
 
 
@@ -91,7 +105,13 @@ def by_model(env):
     models = [each for each in env.road.vehicles if isinstance(each, IDMVehicle)]
     rest = [each for each in env.road.vehicles if not isinstance(each, IDMVehicle)]
     names = "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "LANE_CHANGE_DELAY", "LENGTH"
-    return [len(rest), [(each.target_speed, each.timer, *(getattr(each, name) for name in names)) for each in models]]
+    return [
+        len(rest),
+        [
+            (each.target_speed, each.timer, *(getattr(each, name) for name in names))
+            for each in models
+        ],
+    ]
 
 
 def colours(env):
@@ -119,7 +139,12 @@ def test_public_readers_see_the_values_of_the_environments_own_vehicles(register
     seen, poses = [], []
 
     def noting(env):
-        poses.append([(each.position.copy(), float(each.heading), float(each.speed)) for each in env.road.vehicles])
+        poses.append(
+            [
+                (each.position.copy(), float(each.heading), float(each.speed))
+                for each in env.road.vehicles
+            ]
+        )
         return reads(env)
 
     register("read-v0", entry_point=observing(HighwayEnv, noting))
@@ -127,14 +152,24 @@ def test_public_readers_see_the_values_of_the_environments_own_vehicles(register
     poses.clear()
     world.rollout(LEFT_AND_ON, lambda: lambda values: seen.append((values, poses[-1])) or IDLE)
     assert len(seen) == 20
-    env = gymnasium.make("highway-v0", config={"vehicles_count": 0, "policy_frequency": 5}).unwrapped
+    env = gymnasium.make(
+        "highway-v0", config={"vehicles_count": 0, "policy_frequency": 5}
+    ).unwrapped
     env.reset(seed=0)
-    starts = [(sum(position) * np.pi % 1.0, round(position[1] / 4.0)) for position, *_ in seen[0][1][1:]]
+    starts = [
+        (sum(position) * np.pi % 1.0, round(position[1] / 4.0)) for position, *_ in seen[0][1][1:]
+    ]
     for number, (values, (ego, *npcs)) in enumerate(seen):
         made = env.action_type.vehicle_class(env.road, *ego)
         env.road.vehicles, env.controlled_vehicles = [made], [made]
-        for pose, speed, change, (timer, lane) in zip(npcs, (22.0, 18.0), (1 if number else 0, 0), starts, strict=True):
-            given = {"target_lane_index": ("0", "1", lane - change), "target_speed": speed, "timer": timer}
+        for pose, speed, change, (timer, lane) in zip(
+            npcs, (22.0, 18.0), (1 if number else 0, 0), starts, strict=True
+        ):
+            given = {
+                "target_lane_index": ("0", "1", lane - change),
+                "target_speed": speed,
+                "timer": timer,
+            }
             env.road.vehicles.append(IDMVehicle(env.road, *pose, **given))
         assert repr(values) == repr(reads(env))
 
@@ -156,7 +191,10 @@ def everything(env):
         (
             type(each),
             env.road.network.get_lane(each.lane_index) is each.lane,
-            {name: float(value) for name, value in (each.to_dict(env.vehicle) | each.action).items()},
+            {
+                name: float(value)
+                for name, value in (each.to_dict(env.vehicle) | each.action).items()
+            },
             [(name, plain(getattr(each, name, None))) for name in ATTRIBUTES],
         )
         for each in others(env)
@@ -220,7 +258,9 @@ def test_env_step_shows_the_same_vehicles_as_runs_of_the_package(register, base,
     config = {"other_vehicles_type": f"{kind.__module__}.{kind.__qualname__}"}
     common = {"config": config, "duration": 6.0, "ends": "duration"}
     worlds = World("read-v0", **common), World("read-v0", wrappers=[Slowing], **common)
-    scenarios = [sample(space_of(worlds[0], npcs=2), np.random.default_rng(seed)) for seed in range(3)]
+    scenarios = [
+        sample(space_of(worlds[0], npcs=2), np.random.default_rng(seed)) for seed in range(3)
+    ]
     if base is IntersectionEnv:
         scenarios.append(Scenario(
             npcs=[[CrossingInstruction("o1>o3", 0.5, 8.0)]], ego_lane=worlds[0].start[0], ego_speed=worlds[0].start[1]
@@ -282,12 +322,16 @@ def watched(register, base, scenario, kind=IDMVehicle, **given):
 
 
 def test_target_is_the_lane_to_which_an_npc_steers_and_the_speed_of_its_instruction(register):
-    trace, seen = watched(register, HighwayEnv, lambda _: LEFT_AND_ON, config={"policy_frequency": 15})
+    trace, seen = watched(
+        register, HighwayEnv, lambda _: LEFT_AND_ON, config={"policy_frequency": 15}
+    )
     start = int(trace.npcs[0, 0, LANE])
     assert [values[0][1][2] for values in seen[:3]] == [start, start - 1, start - 1]
     assert seen[-1][0][0] == seen[-1][0][1] == ("0", "1", start - 1)
     assert [(values[0][2], values[1][2]) for values in seen] == [(22.0, 18.0)] * len(seen)
-    assert [values[1][0] == values[1][1] and values[1][3] is None for values in seen] == [True] * len(seen)
+    assert [values[1][0] == values[1][1] and values[1][3] is None for values in seen] == [
+        True
+    ] * len(seen)
 
 
 def test_npc_that_is_to_stop_has_a_target_speed_by_which_environments_may_divide(register):
@@ -300,7 +344,9 @@ def test_npc_that_is_to_stop_has_a_target_speed_by_which_environments_may_divide
 def test_route_of_a_crossing_npc_leads_to_its_exit_from_where_it_is(register):
     def crossing(world):
         lane, speed = world.start
-        return Scenario(npcs=[[CrossingInstruction("o1>o3", -1.0, 9.0)]], ego_lane=lane, ego_speed=speed)
+        return Scenario(
+            npcs=[[CrossingInstruction("o1>o3", -1.0, 9.0)]], ego_lane=lane, ego_speed=speed
+        )
 
     _, seen = watched(register, IntersectionEnv, crossing)
     routes = [values[0][3] for values in seen]
@@ -313,7 +359,9 @@ class Pairs(HighwayEnv):
     """An environment that ends when it finds a driver model that aims at a speed, after a second."""
 
     def _is_terminated(self):
-        return self.time > 1.0 and any(type(each) is IDMVehicle and each.target_speed == 18.0 for each in others(self))
+        return self.time > 1.0 and any(
+            type(each) is IDMVehicle and each.target_speed == 18.0 for each in others(self)
+        )
 
 
 @pytest.mark.parametrize(("ads", "planner_hz"), [
@@ -328,7 +376,9 @@ def test_ends_of_the_environment_see_them_whoever_drives(register, ads, planner_
     with c_library():
         runs = world.rollout(LEFT_AND_ON, ads), world.rollout_in_gym(LEFT_AND_ON, ads)
     assert differences(*runs) == []
-    assert [(run.ended, run.states.shape[0]) for run in runs] == [("Pairs._is_terminated", runs[0].states.shape[0])] * 2
+    assert [(run.ended, run.states.shape[0]) for run in runs] == [
+        ("Pairs._is_terminated", runs[0].states.shape[0])
+    ] * 2
     assert runs[0].states.shape[0] <= 2 * 15 + 1
 
 
@@ -341,8 +391,15 @@ def test_ego_that_is_a_vehicle_class_sees_vehicles_without_goals_where_they_are_
         class Looking(IDMVehicle):
             def act(self, action=None, seen=seen):
                 found = [each for each in self.road.vehicles if each is not self]
-                seen.append([(*each.position.tolist(), float(each.speed), each.lane_index) for each in found])
-                assert not any(isinstance(each, ControlledVehicle) or each.check_collisions for each in found)
+                seen.append(
+                    [
+                        (*each.position.tolist(), float(each.speed), each.lane_index)
+                        for each in found
+                    ]
+                )
+                assert not any(
+                    isinstance(each, ControlledVehicle) or each.check_collisions for each in found
+                )
                 assert all(each.target_speed == each.speed for each in found)
                 super().act()
 
@@ -353,7 +410,9 @@ def test_ego_that_is_a_vehicle_class_sees_vehicles_without_goals_where_they_are_
     assert differences(runs[0][0], runs[1][0]) == []
     assert runs[0][1] == runs[1][1]
     for tick, row in enumerate(runs[0][1]):
-        assert [each[:3] for each in row] == [(x, y, v) for x, y, _, v, *_ in runs[0][0].npcs[tick].tolist()]
+        assert [each[:3] for each in row] == [
+            (x, y, v) for x, y, _, v, *_ in runs[0][0].npcs[tick].tolist()
+        ]
 
 
 class Extra(IDMVehicle):
@@ -405,10 +464,15 @@ class Final(IDMVehicle):
 ])  # fmt: skip
 def test_class_of_which_npcs_cannot_be_is_named_before_the_first_run(register, kind, message):
     config, asked = {"other_vehicles_type": f"{kind.__module__}.{kind.__qualname__}"}, []
-    with pytest.raises(WorldError, match=rf"config\.other_vehicles_type: expected .*{kind.__name__}.*{message}"):
+    with pytest.raises(
+        WorldError, match=rf"config\.other_vehicles_type: expected .*{kind.__name__}.*{message}"
+    ):
         World("highway-v0", config=config).rollout(LEFT_AND_ON, lambda: asked.append)
     assert asked == []
-    assert World("highway-v0", config=config, planner_hz=5).rollout(LEFT_AND_ON, constant_speed).error is None
+    assert (
+        World("highway-v0", config=config, planner_hz=5).rollout(LEFT_AND_ON, constant_speed).error
+        is None
+    )
 
 
 def test_class_itself_may_be_given_where_the_environment_takes_it(register):
@@ -418,13 +482,18 @@ def test_class_itself_may_be_given_where_the_environment_takes_it(register):
             return {**super().default_config(), "other_vehicles_type": Own}
 
         def _create_vehicles(self):
-            self.config["other_vehicles_type"], given = "highway_env.vehicle.behavior.IDMVehicle", Own
+            self.config["other_vehicles_type"], given = (
+                "highway_env.vehicle.behavior.IDMVehicle",
+                Own,
+            )
             super()._create_vehicles()
             self.config["other_vehicles_type"] = given
 
     register("takes-v0", entry_point=Takes)
     seen = []
-    World("takes-v0", duration=2.0).rollout(LEFT_AND_ON, lambda: lambda values: seen.append(values) or IDLE)
+    World("takes-v0", duration=2.0).rollout(
+        LEFT_AND_ON, lambda: lambda values: seen.append(values) or IDLE
+    )
     assert seen == [[Own, Own]] * 2
 
 

@@ -66,7 +66,11 @@ def test_raising_ads_ends_run_with_its_own_traceback(world, idle):
     assert (trace.error.kind, trace.error.message) == ("CustomFault", "the map has no lane 7")
     report = trace.error.traceback
     assert report.startswith("Traceback (most recent call last):")
-    assert [line.split()[-1] for line in report.splitlines() if line.startswith("  File")] == ["drive", "fail", "deep"]
+    assert [line.split()[-1] for line in report.splitlines() if line.startswith("  File")] == [
+        "drive",
+        "fail",
+        "deep",
+    ]
     assert "pytest_pafot" not in report
     assert len(trace.actions) == 2
 
@@ -168,7 +172,11 @@ def test_vehicle_class_raising_in_step_is_ads_error():
                 raise CustomFault("tyre")
 
     for trace in (HIGHWAY.rollout(SCENARIO, Breaks), HIGHWAY.rollout_in_gym(SCENARIO, Breaks)):
-        assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "CustomFault", "tyre")
+        assert (trace.outcome, trace.error.kind, trace.error.message) == (
+            Outcome.ADS_ERROR,
+            "CustomFault",
+            "tyre",
+        )
         assert trace.error.tick == trace.ticks == 30
 
 
@@ -188,7 +196,9 @@ def test_anything_but_two_finite_numbers_is_bad_action(action):
     assert (trace.error.traceback, trace.error.tick, trace.ticks) == ("", 3, 3)
 
 
-@table("action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)])
+@table(
+    "action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)]
+)
 def test_wrong_discrete_action_is_a_bad_action(action):
     trace = GYM.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
@@ -264,7 +274,10 @@ def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, cloc
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="processes have no signals there")
-@table(("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (getattr(signal, "SIGTERM", None), Ended)])
+@table(
+    ("number", "error"),
+    [(signal.SIGINT, KeyboardInterrupt), (getattr(signal, "SIGTERM", None), Ended)],
+)
 @worlds
 def test_interrupt_that_an_ads_catches_ends_the_run_all_the_same(world, idle, number, error):
     calls = []
@@ -275,7 +288,9 @@ def test_interrupt_that_an_ads_catches_ends_the_run_all_the_same(world, idle, nu
             signal.raise_signal(number)
         return idle
 
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore SIGINT
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's background jobs ignore SIGINT
     try:
         with interrupted_by_signals(hang_guard.note_interrupt), pytest.raises(error):
             world.rollout(SCENARIO, lambda: ads)
@@ -296,7 +311,8 @@ def test_busy_hang_outside_main_thread_is_interrupted(hang, clock):
 
     thread = threading.Thread(
         target=lambda: received.extend(
-            world.rollout(SCENARIO, ads) for ads in (failing_after(1, hangs, (0, 0)), always((0, 0)))
+            world.rollout(SCENARIO, ads)
+            for ads in (failing_after(1, hangs, (0, 0)), always((0, 0)))
         )
     )
     thread.start()

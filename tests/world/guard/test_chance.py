@@ -137,10 +137,14 @@ def test_the_generator_of_torch_is_seeded_if_torch_is_imported() -> None:
 
 
 @pytest.mark.parametrize("limit", [None, 5, -1])
-def test_torch_is_seeded_without_the_text_of_the_stack(monkeypatch: pytest.MonkeyPatch, limit: int | None) -> None:
+def test_torch_is_seeded_without_the_text_of_the_stack(
+    monkeypatch: pytest.MonkeyPatch, limit: int | None
+) -> None:
     """Until its devices are initialised, torch stores that text with each seed; a stand-in does the same."""
     stored = []
-    torch = SimpleNamespace(manual_seed=lambda seed: stored.append((seed, traceback.format_stack())))
+    torch = SimpleNamespace(
+        manual_seed=lambda seed: stored.append((seed, traceback.format_stack()))
+    )
     monkeypatch.delattr(sys, "tracebacklimit", raising=False)
     if limit is not None:
         monkeypatch.setattr(sys, "tracebacklimit", limit, raising=False)
@@ -149,7 +153,9 @@ def test_torch_is_seeded_without_the_text_of_the_stack(monkeypatch: pytest.Monke
     assert getattr(sys, "tracebacklimit", None) == limit
 
 
-def test_limit_of_tracebacks_comes_back_if_two_threads_seed_torch_or_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_of_tracebacks_comes_back_if_two_threads_seed_torch_or_it_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delattr(sys, "tracebacklimit", raising=False)
     inner = SimpleNamespace(manual_seed=lambda seed: None)
 

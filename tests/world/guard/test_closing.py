@@ -65,7 +65,9 @@ def test_ads_is_closed_when_the_session_ends_inside():
 @pytest.mark.parametrize(
     ("env_id", "drive", "inside"),
     mostly_oracle(
-        itertools.product(["highway-v0", "roundabout-v0"], ["rollout", "rollout_in_gym"], [False, True]),
+        itertools.product(
+            ["highway-v0", "roundabout-v0"], ["rollout", "rollout_in_gym"], [False, True]
+        ),
         ("highway-v0", "rollout", False),
         ("highway-v0", "rollout", True),
         ("highway-v0", "rollout_in_gym", False),
@@ -94,13 +96,17 @@ def test_policies_and_planners_in_environment_are_closed(env_id, drive, inside):
 
 @pytest.mark.parametrize(
     ("end", "said"),
-    [(raises, "no exception, received LookupError: lost"), (None, "a call that returns within 30 s")],
+    [
+        (raises, "no exception, received LookupError: lost"),
+        (None, "a call that returns within 30 s"),
+    ],
     ids=["raises", "hangs"],
 )
 def test_error_in_closing_is_only_a_warning(end, said, monkeypatch):
     world, end = Highway(), end or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
     with pytest.warns(
-        RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*\. This does not change the result of the run"
+        RuntimeWarning,
+        match=rf"^ads\.close: expected .*{said}.*\. This does not change the result of the run",
     ):
         trace = world.rollout(BRAKED, lambda: Program([], end=end))
     assert trace.outcome is Outcome.COLLISION
@@ -108,7 +114,9 @@ def test_error_in_closing_is_only_a_warning(end, said, monkeypatch):
 
 def test_an_interrupt_in_closing_is_the_users():
     with pytest.raises(KeyboardInterrupt):
-        Highway(duration=1.0).rollout(BESIDE, lambda: Program([], end=lambda: raises(KeyboardInterrupt)))
+        Highway(duration=1.0).rollout(
+            BESIDE, lambda: Program([], end=lambda: raises(KeyboardInterrupt))
+        )
 
 
 def test_a_vehicle_class_is_not_closed():

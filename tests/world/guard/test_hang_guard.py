@@ -45,7 +45,9 @@ def forks_once(fork, when):
     def ads():
         if when == "factory":
             fork()
-        return lambda seen: (fork() if when == "decision" and seen.time == 0 else None, (0.0, 0.0))[1]
+        return lambda seen: (fork() if when == "decision" and seen.time == 0 else None, (0.0, 0.0))[
+            1
+        ]
 
     return ads
 
@@ -167,7 +169,9 @@ def test_run_ends_between_decisions_and_closes_its_ads(world):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
-@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="elsewhere a decision cannot be asked where it is")
+@pytest.mark.skipif(
+    not hasattr(signal, "pthread_kill"), reason="elsewhere a decision cannot be asked where it is"
+)
 def test_debugger_may_pause_a_decision_beyond_its_limit(watchdog):
     tracer = sys.gettrace()
     try:

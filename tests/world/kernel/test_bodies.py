@@ -17,7 +17,9 @@ from tests.helpers.tables import table
 from tests.helpers.world_cases import random_scenario
 
 angles = st.floats(-math.pi, math.pi)
-boxes = st.builds(Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3))
+boxes = st.builds(
+    Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3)
+)
 
 
 def moved(box, x=0.0, y=0.0, heading=0.0):
@@ -47,7 +49,15 @@ def shared_area(a, b):
         polygon = clipped
         if not polygon:
             return 0.0
-    return abs(sum(p[0] * q[1] - q[0] * p[1] for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True))) / 2
+    return (
+        abs(
+            sum(
+                p[0] * q[1] - q[0] * p[1]
+                for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True)
+            )
+        )
+        / 2
+    )
 
 
 @pytest.mark.parametrize("is_car", [True, False])
@@ -55,10 +65,16 @@ def test_boxes_overlap_exactly_when_they_share_an_area(is_car):
     rng = random.Random(0)
     seen = {True: 0, False: 0}
     for _ in range(6000):
-        one, other = [(5.0, 2.0), (5.0, 2.0)] if is_car else [(rng.uniform(0.5, 12), rng.uniform(0.5, 3)) for _ in "ab"]
+        one, other = (
+            [(5.0, 2.0), (5.0, 2.0)]
+            if is_car
+            else [(rng.uniform(0.5, 12), rng.uniform(0.5, 3)) for _ in "ab"]
+        )
         turn = 0.0 if is_car else rng.uniform(-math.pi, math.pi)
         a = Box(rng.uniform(-1e3, 1e3), rng.uniform(-9, 9), rng.gauss(0, 0.3), *one)
-        b = Box(a.x + rng.uniform(-7, 7), a.y + rng.uniform(-4, 4), turn + rng.gauss(0, 0.5), *other)
+        b = Box(
+            a.x + rng.uniform(-7, 7), a.y + rng.uniform(-4, 4), turn + rng.gauss(0, 0.5), *other
+        )
         area = shared_area(a, b)
         if 0 < area < 1e-9:
             continue
@@ -127,12 +143,17 @@ def weaving():
 def test_side_hit_is_that_of_last_tick_apart():
     rng, differ = random.Random(5), 0
     for _ in range(160):
-        trace = Highway(duration=30.0).rollout(random_scenario(rng, lanes=4, speed_limit=26.8), weaving)
+        trace = Highway(duration=30.0).rollout(
+            random_scenario(rng, lanes=4, speed_limit=26.8), weaving
+        )
         if (hit := trace.collision) is None:
             continue
         both = [0, hit.npc + 1]
         (ego, npc), overlapping = (
-            [Box(*pose, *size) for pose, size in zip(poses.tolist(), trace.sizes[both].tolist(), strict=True)]
+            [
+                Box(*pose, *size)
+                for pose, size in zip(poses.tolist(), trace.sizes[both].tolist(), strict=True)
+            ]
             for poses in trace.states[hit.tick - 1 : hit.tick + 1, both][..., [X, Y, HEADING]]
         )
         assert not overlap(ego, npc)

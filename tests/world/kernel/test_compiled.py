@@ -29,7 +29,9 @@ def interpreted():
 def assert_same(interpreted, world, scenario, ego=IDMVehicle):
     compiled = digest(world.rollout(scenario, ego))
     with interpreted.in_place():
-        assert digest(interpreted.room.from_dict(world.to_dict()).rollout(scenario, ego)) == compiled
+        assert (
+            digest(interpreted.room.from_dict(world.to_dict()).rollout(scenario, ego)) == compiled
+        )
 
 
 @pytest.mark.parametrize("seeds", [range(12), oracle(range(12, 40))], ids=str)
@@ -47,7 +49,10 @@ def test_interpreted_and_compiled_npcs_match_in_bends(interpreted, style):
 
 def test_interpreted_and_compiled_npcs_cross_the_same(interpreted):
     world = world_of("intersection-v0")
-    crossing = [CrossingInstruction("o1>o3", 0.5, 7.0)], [CrossingInstruction("o3>o0", 1.5, 8.0, "hold")]
+    crossing = (
+        [CrossingInstruction("o1>o3", 0.5, 7.0)],
+        [CrossingInstruction("o3>o0", 1.5, 8.0, "hold")],
+    )
     scenario = Scenario(npcs=[*crossing, [PositionInstruction(2, 8.0)]], ego_lane=0, ego_speed=10.0)
     assert_same(interpreted, world, scenario)
 

@@ -43,10 +43,14 @@ Before another version is allowed in pyproject.toml:
 
 def digest(module, names):
     found = import_module(f"highway_env.{module}")
-    return sha256("".join(inspect.getsource(getattr(found, name)) for name in names.split()).encode()).hexdigest()[:12]
+    return sha256(
+        "".join(inspect.getsource(getattr(found, name)) for name in names.split()).encode()
+    ).hexdigest()[:12]
 
 
-@pytest.mark.skipif(metadata.version("highway-env") != NEWEST, reason=f"the digests are those of {NEWEST}")
+@pytest.mark.skipif(
+    metadata.version("highway-env") != NEWEST, reason=f"the digests are those of {NEWEST}"
+)
 def test_what_the_kernel_copies_from_highway_env_is_what_was_compared():
     found = {module: (names, digest(module, names)) for module, (names, _) in COPIED.items()}
     assert found == COPIED, TO_CHECK

@@ -231,7 +231,9 @@ def drawn(rng, world, on_grid=0):
     def crossing():
         way, slot = names[rng.integers(len(names))], tenths(-2.5, 2.5)
         speed = tenths(4.0, min(world.speed_limit, 10.0))
-        return CrossingInstruction(way, slot, speed, str(rng.choice(["pass"] * 3 + ["hold", "stop", "late"])))
+        return CrossingInstruction(
+            way, slot, speed, str(rng.choice(["pass"] * 3 + ["hold", "stop", "late"]))
+        )
 
     while True:
         npcs = [[crossing()] for _ in range(rng.integers(1, 4))]
@@ -291,8 +293,15 @@ def violations(trace, world):
 @table("zone", [LEFT, AHEAD, RIGHT])
 def test_higher_numbered_of_grid_and_crossing_npc_waits(zone):
     """The NPC ahead of the ego and the crossing NPC would be in the zone together."""
-    ahead, crossing, ego = [PositionInstruction(2, 9.0)] * 3, (zone, -0.5, 8.0), braking_at(0.0, 7.0, 2.0)
-    alone = [rollout(ahead, ego=ego).npcs[:, 0, SPEED], rollout(crossing, ego=ego).npcs[:, 0, SPEED]]
+    ahead, crossing, ego = (
+        [PositionInstruction(2, 9.0)] * 3,
+        (zone, -0.5, 8.0),
+        braking_at(0.0, 7.0, 2.0),
+    )
+    alone = [
+        rollout(ahead, ego=ego).npcs[:, 0, SPEED],
+        rollout(crossing, ego=ego).npcs[:, 0, SPEED],
+    ]
     for npcs, waits in (((ahead, crossing), 1), ((crossing, ahead), 1)):
         trace = rollout(*npcs, ego=ego)
         assert trace.outcome is not Outcome.INVALID
@@ -310,7 +319,12 @@ def test_npc_on_grid_avoids_cell_next_to_merged():
     crossing, on_grid = director.npcs
     crossing.place(world.crossings.ways["wer>exr"].zone.npc[1], 0.0, 0.0, 8.0)
     along = world.crossings.ways["wer>exr"].zone.ego[1]
-    for ahead, speed, has_room in ((0.0, 8.0, False), (6.0, 8.0, False), (-6.0, 8.0, False), (12.0, 8.0, True)):
+    for ahead, speed, has_room in (
+        (0.0, 8.0, False),
+        (6.0, 8.0, False),
+        (-6.0, 8.0, False),
+        (12.0, 8.0, True),
+    ):
         on_grid.place(along + ahead, road.centre(0), 0.0, speed)
         assert director.leaves_room(on_grid, road.ego_lane) is has_room, ahead
         assert director.leaves_room(on_grid, 0)
@@ -327,7 +341,8 @@ def steering():
 
 
 @pytest.mark.parametrize(
-    ("env_id", "egos"), [("intersection-v0", EGOS), ("intersection-v1", [steering]), oracle("roundabout-v0", EGOS)]
+    ("env_id", "egos"),
+    [("intersection-v0", EGOS), ("intersection-v1", [steering]), oracle("roundabout-v0", EGOS)],
 )
 def test_run_repeats_exactly_and_in_environment_steps(env_id, egos):
     world, rng = world_of(env_id), np.random.default_rng(8)
@@ -347,13 +362,18 @@ def test_trace_has_place_of_each_npc_on_way(env_id):
     world = world_of(env_id)
     trace = world.rollout(drawn(np.random.default_rng(3), world, on_grid=1), Steady)
     told = trace.scenario.crossings
-    assert [None if zone is None else zone.way for zone in trace.zones] == [each and each.zone for each in told]
+    assert [None if zone is None else zone.way for zone in trace.zones] == [
+        each and each.zone for each in told
+    ]
     for npc, each in enumerate(told):
         if each is None:
             assert np.isnan(trace.on_way[:, npc]).all()
             assert np.isfinite(trace.track[:, npc + 1]).all()
             continue
-        assert trace.on_way[0, npc] == pytest.approx(world.crossings.start(each), abs=1e-6) or each.act == "stop"
+        assert (
+            trace.on_way[0, npc] == pytest.approx(world.crossings.start(each), abs=1e-6)
+            or each.act == "stop"
+        )
         before = trace.on_way[:, npc] < trace.zones[npc].npc[0]
         assert np.isnan(trace.track[before, npc + 1]).all()
         steps = np.hypot(*np.diff(trace.npcs[:, npc, :2], axis=0).T)

@@ -11,7 +11,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import CrossingInstruction, LaneCommand, Perception, PositionInstruction, Scenario, World
+from pytest_pafot import (
+    CrossingInstruction,
+    LaneCommand,
+    Perception,
+    PositionInstruction,
+    Scenario,
+    World,
+)
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, WorldError, from_dict
@@ -36,13 +43,24 @@ def sensor_on(*npcs, ways, sight=None):
     road, states = WORLD.road, ((2.0, HALF - 60.0, -math.pi / 2, 10.0), *npcs)
     vehicles, bodies = ([Body(5.0, 2.0) for _ in states] for _ in range(2))
     lines = [road.line, *(road.line if way is None else JUNCTION.ways[way].line for way in ways)]
-    starts = [np.hypot(line.x - x, line.y - y).argmin() * STEP for line, (x, y, *_) in zip(lines, states, strict=True)]
+    starts = [
+        np.hypot(line.x - x, line.y - y).argmin() * STEP
+        for line, (x, y, *_) in zip(lines, states, strict=True)
+    ]
     own = [None, *(None if way is None else JUNCTION.ways[way].track for way in ways)]
-    common = {"starts": starts, "ways": own, "end": road.end, "beside": lambda *_: (-1, None), "ticks": 3}
+    common = {
+        "starts": starts,
+        "ways": own,
+        "end": road.end,
+        "beside": lambda *_: (-1, None),
+        "ticks": 3,
+    }
     places = Places(vehicles, bodies, bends=road.bends, **common)
     rows = array("d", bytes(8 * 4 * len(states) * COLUMNS))
     for tick in range(4):
-        for number, (vehicle, (x, y, heading, speed)) in enumerate(zip(vehicles, states, strict=True)):
+        for number, (vehicle, (x, y, heading, speed)) in enumerate(
+            zip(vehicles, states, strict=True)
+        ):
             far = speed * tick / 15
             vehicle.place(x + far * math.cos(heading), y + far * math.sin(heading), heading, speed)
             row = (tick * len(states) + number) * COLUMNS
@@ -60,13 +78,26 @@ EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
 
 
 def test_crossing_vehicle_is_seen_on_its_own_way():
-    seen = sensor_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, "o3>o1"]).observation(0)
+    seen = sensor_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, "o3>o1"]).observation(
+        0
+    )
     assert seen.ids == (0,)
     assert [other.x - seen.ego.x for other in seen.others] == pytest.approx([15.0])
     (crossing,) = seen.crossing
     assert crossing.zone == FROM_THE_RIGHT.way.zone
     assert crossing._replace(zone=None) == pytest.approx(
-        (1, None, ENTERS - 90.0, EGO_ENTERS - 60.0, HALF - 60.0 + 2.0, HALF - 92.0, -math.pi / 2, 8.0, 5.0, 2.0),
+        (
+            1,
+            None,
+            ENTERS - 90.0,
+            EGO_ENTERS - 60.0,
+            HALF - 60.0 + 2.0,
+            HALF - 92.0,
+            -math.pi / 2,
+            8.0,
+            5.0,
+            2.0,
+        ),
         abs=0.05,
     )
 
@@ -76,11 +107,15 @@ def test_who_has_merged_is_one_of_the_others():
     assert (len(before.others), [each.is_inside for each in before.crossing]) == (0, [True])
     assert before.crossing[0].to_leave == pytest.approx(TURNS_IN.way.zone.npc[1] - 105.3, abs=0.2)
     after = sensor_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=["o3>o2"]).observation(0)
-    assert ([other.x - after.ego.x for other in after.others], after.crossing) == (pytest.approx([81.0], abs=0.2), ())
+    assert ([other.x - after.ego.x for other in after.others], after.crossing) == (
+        pytest.approx([81.0], abs=0.2),
+        (),
+    )
 
 
 @pytest.mark.parametrize(
-    ("sight", "is_seen"), [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)]
+    ("sight", "is_seen"),
+    [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)],
 )
 def test_an_imperfect_sight_hides_who_crosses(sight, is_seen):
     seen = sensor_on(EAST, ways=["o3>o1"], sight=Sight(**sight)).observation(0)
@@ -106,7 +141,9 @@ def test_it_sees_what_the_run_records():
         [CrossingInstruction("o1>o3", 1.0, 6.0)],
         [PositionInstruction(6, 5.0)],
     ]
-    trace = WORLD.rollout(replace(scenario_of(WORLD), npcs=npcs), lambda: lambda now: seen.append(now) or (-0.5, 0.0))
+    trace = WORLD.rollout(
+        replace(scenario_of(WORLD), npcs=npcs), lambda: lambda now: seen.append(now) or (-0.5, 0.0)
+    )
     assert len(seen) == len(trace.actions) > 30
     for tick, now in zip(range(0, trace.ticks, 3), seen, strict=True):
         on_way = np.flatnonzero(~np.isnan(trace.track[tick, 1:, ALONG]))
@@ -114,8 +151,12 @@ def test_it_sees_what_the_run_records():
         for each in now.crossing:
             zone = trace.zones[each.id]
             assert each.id not in on_way
-            assert each.distance == pytest.approx(zone.npc[0] - trace.on_way[tick, each.id], abs=1e-6)
-            assert each.ego_distance == pytest.approx(zone.ego[0] - trace.track[tick, 0, ALONG], abs=1e-6)
+            assert each.distance == pytest.approx(
+                zone.npc[0] - trace.on_way[tick, each.id], abs=1e-6
+            )
+            assert each.ego_distance == pytest.approx(
+                zone.ego[0] - trace.track[tick, 0, ALONG], abs=1e-6
+            )
             apart = np.hypot(*(trace.states[tick, each.id + 1, :2] - trace.states[tick, 0, :2]))
             assert math.hypot(each.ahead, each.right) == pytest.approx(apart)
     assert {each.id for now in seen for each in now.crossing} == {0, 1}

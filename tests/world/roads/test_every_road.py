@@ -87,9 +87,18 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
 def test_cells_exist_only_on_lanes_in_ego_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
-    assert roundabout.cells(roundabout.start, 1, 8.0) == {2, 6}  # before the circle there is one lane
+    assert roundabout.cells(roundabout.start, 1, 8.0) == {
+        2,
+        6,
+    }  # before the circle there is one lane
     in_the_circle = 170.0
-    assert roundabout.cells(in_the_circle, 1, 8.0) == {1, 2, 6, 7, 8}  # the inner lane is to the left
+    assert roundabout.cells(in_the_circle, 1, 8.0) == {
+        1,
+        2,
+        6,
+        7,
+        8,
+    }  # the inner lane is to the left
     merge = world_of("merge-v1").road
     assert merge.cells(merge.start, 1, 8.0) == {1, 2, 6, 7, 8}
     assert merge.cells(250.0, 1, 8.0) == {1, 2, 3, 4, 5, 6, 7, 8}  # next to the lane that ends
@@ -101,20 +110,30 @@ def test_cells_exist_only_on_lanes_in_ego_direction():
 
 def test_more_npcs_than_start_cells_is_clear_error():
     world = world_of("roundabout-v1")
-    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one for each cell around lane 1"):
+    with pytest.raises(
+        ScenarioError, match="npcs: expected at most 2 NPCs, one for each cell around lane 1"
+    ):
         world.rollout(hold(world, 2, 6, 7), idm)
-    with pytest.raises(ScenarioError, match=r"ego_lane: expected a lane that exists at the ego's start \(1\), rec"):
+    with pytest.raises(
+        ScenarioError, match=r"ego_lane: expected a lane that exists at the ego's start \(1\), rec"
+    ):
         world.rollout(hold(world, 2, ego_lane=0), idm)
 
 
 def test_npc_in_lanes_uses_lanes_where_they_exist():
     """The ramp of the merge is the rightmost lane, from 230 m to 309.5 m of the ego's way."""
     world = world_of("merge-v1")
-    genes = [("right", 20.0)] * 3 + [("keep", 20.0)] * 5 + [("right", 8.0)] * 3 + [("keep", 8.0)] * 6
+    genes = (
+        [("right", 20.0)] * 3 + [("keep", 20.0)] * 5 + [("right", 8.0)] * 3 + [("keep", 8.0)] * 6
+    )
     npc = [LaneInstruction(lane, speed) for lane, speed in genes]
-    trace = world.rollout(Scenario(npcs=[npc], ego_lane=1, ego_speed=20.0, gene_seconds=1.0), constant)
+    trace = world.rollout(
+        Scenario(npcs=[npc], ego_lane=1, ego_speed=20.0, gene_seconds=1.0), constant
+    )
     along, lane = trace.track[:, 1, ALONG], trace.npcs[:, 0, LANE]
-    assert [gene.lane for gene in trace.executed.npcs[0][:3]] == ["right", "right", "keep"], "no ramp is there yet"
+    assert [gene.lane for gene in trace.executed.npcs[0][:3]] == ["right", "right", "keep"], (
+        "no ramp is there yet"
+    )
     assert set(lane[along < 230]) == {0, 1}
     assert lane[-1] == 2
     assert trace.npcs[-1, 0, SPEED] < 7.0, "it brakes before the ramp ends"
@@ -133,7 +152,10 @@ def test_ring_steps_skip_cells_that_do_not_exist():
 
 
 @pytest.mark.parametrize(
-    "env_id", mostly_oracle(["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1")
+    "env_id",
+    mostly_oracle(
+        ["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1"
+    ),
 )
 def test_npcs_stay_near_lane_centre_in_bends(env_id):
     world = world_of(env_id, duration=15.0)
@@ -164,7 +186,10 @@ def test_speed_limit_is_from_lane_or_ego_start():
 
 def test_speed_limit_of_straight_road_is_that_of_its_fastest_lane():
     lane = StraightRoad.uniform(1, 500.0, 4.0, 20.0).lanes[0]
-    lanes = [replace(lane, y=4.0 * number, speed_limit=limit) for number, limit in enumerate((20.0, 30.0, 10.0))]
+    lanes = [
+        replace(lane, y=4.0 * number, speed_limit=limit)
+        for number, limit in enumerate((20.0, 30.0, 10.0))
+    ]
     assert StraightRoad(tuple(lanes)).speed_limit == 30.0
 
 
@@ -281,7 +306,11 @@ class OwnCircuit(OwnEnvironment):
 
 class OwnDeadEnd(OwnCircuit):
     def _reset(self):
-        self.open([("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))], [27.0, 36.0], math.atan2(4, 3))
+        self.open(
+            [("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))],
+            [27.0, 36.0],
+            math.atan2(4, 3),
+        )
 
 
 class OwnTaper(OwnCircuit):
@@ -307,7 +336,10 @@ class OwnRamp(MergeEnv):
 class OwnMeeting(OwnCircuit):
     """A straight road from west to east, and a second one that meets or passes it."""
 
-    options: ClassVar = OwnCircuit.options | {"other": ["n", "s"], "points": [[200.0, -80.0], [200.0, 90.0]]}
+    options: ClassVar = OwnCircuit.options | {
+        "other": ["n", "s"],
+        "points": [[200.0, -80.0], [200.0, 90.0]],
+    }
 
     def _reset(self):
         lanes = [
@@ -328,7 +360,8 @@ class OwnHalves(OwnCircuit):
 
     def _reset(self):
         lanes = [
-            (*nodes, CircularLane([0, 0], 200, start, start + math.pi, speed_limit=12)) for *nodes, start in HALVES
+            (*nodes, CircularLane([0, 0], 200, start, start + math.pi, speed_limit=12))
+            for *nodes, start in HALVES
         ]
         first = lanes[0][2]
         self.open(lanes, first.position(200, 0), first.heading_at(200))
@@ -336,7 +369,15 @@ class OwnHalves(OwnCircuit):
 
 @pytest.fixture
 def registered(register):
-    for entry_point in (OwnCircuit, OwnDeadEnd, OwnTaper, OwnMeeting, OwnTraffic, OwnHalves, OwnRamp):
+    for entry_point in (
+        OwnCircuit,
+        OwnDeadEnd,
+        OwnTaper,
+        OwnMeeting,
+        OwnTraffic,
+        OwnHalves,
+        OwnRamp,
+    ):
         register(f"{entry_point.__name__}-v0", entry_point)
 
 
@@ -357,14 +398,21 @@ def test_an_environment_of_ones_own_works_the_same():
 def test_attentive_npc_in_bend_holds_distance_along_road(lane):
     """At 10 m/s it is 6 m and a vehicle's length, on either lane; only one lane is as long as the way."""
     world = World("OwnCircuit-v0", duration=24.0)
-    trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic="hostile"), constant)
+    trace = world.rollout(
+        hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic="hostile"), constant
+    )
     assert np.hypot(*(trace.ego[-1, :2] - trace.npcs[-1, 0, :2])) == pytest.approx(11.0, abs=0.2)
 
 
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize(
     ("speed", "taper", "does_enter"),
-    [(6.0, 100.0, False), oracle(6.0, 130.0, True), oracle(25.0, 350.0, False), (25.0, 500.0, True)],
+    [
+        (6.0, 100.0, False),
+        oracle(6.0, 130.0, True),
+        oracle(25.0, 350.0, False),
+        (25.0, 500.0, True),
+    ],
 )
 def test_ending_lane_is_entered_only_with_enough_room(speed, taper, does_enter):
     """Slow NPCs need three seconds before its end, fast ones as long as it takes to stop gently."""
@@ -400,13 +448,16 @@ def test_way_ends_with_the_lane_of_a_ramp():
 @pytest.mark.usefixtures("registered")
 def test_road_that_ends_ahead_of_ego_is_refused():
     with pytest.raises(
-        WorldError, match="OwnDeadEnd-v0: expected a road that continues for at least 10 m ahead of the ego's start"
+        WorldError,
+        match="OwnDeadEnd-v0: expected a road that continues for at least 10 m ahead of the ego's start",
     ):
         World("OwnDeadEnd-v0").check()
 
 
 UNUSED = {"intersection": {"crosses", "joins"}, "two-way": {"oncoming"}}
-UNUSED |= {name: {"joins"} for name in ("merge", "merge-generic", "roundabout", "roundabout-generic")}
+UNUSED |= {
+    name: {"joins"} for name in ("merge", "merge-generic", "roundabout", "roundabout-generic")
+}
 
 
 def test_a_world_knows_the_roads_that_nobody_uses():

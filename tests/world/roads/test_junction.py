@@ -55,18 +55,24 @@ def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
     circulating = ("wer>wxr", "wer>nxr", "wer>exr", "ner>nxr", "ner>exr")
     entering = ("eer>exr", "eer>wxr", "eer>sxr", "eer>nxr")
     expected = dict.fromkeys(circulating, ("merging", "left", "npc"))
-    assert zones_of(world_of("roundabout-v1")) == expected | dict.fromkeys(entering, ("merging", "right", "ego"))
+    assert zones_of(world_of("roundabout-v1")) == expected | dict.fromkeys(
+        entering, ("merging", "right", "ego")
+    )
 
 
 @pytest.mark.parametrize(
-    "env_id", [each for each in ROADS if not each.startswith(("intersection", "roundabout"))] + ["highway-v0"]
+    "env_id",
+    [each for each in ROADS if not each.startswith(("intersection", "roundabout"))]
+    + ["highway-v0"],
 )
 def test_other_roads_of_highway_env_have_no_crossings(env_id):
     """Their ramps jump by a lane, two-way roads are side by side, and circuits have no entry."""
     assert world_of(env_id).crossings is None
 
 
-@pytest.mark.parametrize("env_id", ["intersection-v0", "intersection-v1", "roundabout-v1", "roundabout-generic-v1"])
+@pytest.mark.parametrize(
+    "env_id", ["intersection-v0", "intersection-v1", "roundabout-v1", "roundabout-generic-v1"]
+)
 def test_ego_starts_six_seconds_before_first_zone(env_id):
     world = world_of(env_id)
     crossings, own = world.crossings, world.environment.unwrapped.vehicle
@@ -84,9 +90,13 @@ def test_way_speeds_respect_its_limit_and_bends(destination):
     for way in world.crossings.ways.values():
         line = world.road.junction.ways[way.zone.way].line
         turned = np.abs(np.diff(np.unwrap(line.heading))) / STEP
-        assert (np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned).max() < world.limits.lateral_acceleration
+        assert (
+            np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned
+        ).max() < world.limits.lateral_acceleration
         assert way.speeds.max() <= world.limits.overspeed * 10.0
-        assert way.length == pytest.approx(math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP)
+        assert way.length == pytest.approx(
+            math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP
+        )
 
 
 # An oracle: boxes as polygons, at places of the two ways between the points of their lines.
@@ -114,13 +124,20 @@ def inner(places, poses):
 def posed(line, lean, places):
     points = np.arange(len(line.x)) * STEP
     heading = np.interp(places, points, line.heading + lean)
-    return np.stack([np.interp(places, points, line.x), np.interp(places, points, line.y), heading], axis=-1)
+    return np.stack(
+        [np.interp(places, points, line.x), np.interp(places, points, line.y), heading], axis=-1
+    )
 
 
 def touching(first, second, wider):
     """Return which poses of two rows touch as boxes, by their corners and edges."""
-    near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(LENGTH, WIDTH + wider)
-    boxes, others = ([corners(pose, LENGTH, WIDTH + wider) for pose in poses.tolist()] for poses in (first, second))
+    near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(
+        LENGTH, WIDTH + wider
+    )
+    boxes, others = (
+        [corners(pose, LENGTH, WIDTH + wider) for pose in poses.tolist()]
+        for poses in (first, second)
+    )
     found = np.zeros(near.shape, dtype=bool)
     for a, b in np.argwhere(near):
         found[a, b] = polygons_meet(boxes[a], others[b])
@@ -147,7 +164,10 @@ def test_zones_are_stretches_where_boxes_along_ways_touch(world):
         near = (along > zone.npc[0] - 30) & (along < zone.npc[1] + 10)
         own = (along_ego > zone.ego[0] - 30) & (along_ego < zone.ego[1] + 10)
         wide = touching(ego[own], npc[near], WIDER)
-        stretches = (zone.ego, along_ego[own], wide.any(axis=1)), (zone.npc, along[near], wide.any(axis=0))
+        stretches = (
+            (zone.ego, along_ego[own], wide.any(axis=1)),
+            (zone.npc, along[near], wide.any(axis=0)),
+        )
         for (enters, leaves), places, touches in stretches:
             first, last = first_run(places, touches, places[0])
             assert enters <= first <= enters + 1.5, zone
@@ -175,7 +195,11 @@ def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merge
     places = np.arange(-50.0, 50.0, STEP)
     directions = [(turned, math.cos(turned), math.sin(turned)) for turned in (0.0, angle)]
     one, other = (
-        Course(places * cos, places * sin, *(np.full(places.shape, value) for value in (turned, cos, sin)))
+        Course(
+            places * cos,
+            places * sin,
+            *(np.full(places.shape, value) for value in (turned, cos, sin)),
+        )
         for turned, cos, sin in directions
     )
     (meeting,) = meetings_of(one, other, near_pairs(one, other))
@@ -183,7 +207,12 @@ def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merge
 
 
 def test_merging_zone_ends_one_vehicle_length_after_joining():
-    for world in (intersection("o1"), intersection("o2"), intersection("o3"), world_of("roundabout-v1")):
+    for world in (
+        intersection("o1"),
+        intersection("o2"),
+        intersection("o3"),
+        world_of("roundabout-v1"),
+    ):
         for zone in world.crossings.zones:
             if zone.kind != "merging":
                 continue
@@ -195,7 +224,9 @@ def test_merging_zone_ends_one_vehicle_length_after_joining():
             assert not together[along < zone.npc[1] - LENGTH - 1.5].any(), zone
 
 
-@pytest.mark.parametrize("world", [pytest.param(intersection("o1"), id="left"), oracle(world_of("roundabout-v1"))])
+@pytest.mark.parametrize(
+    "world", [pytest.param(intersection("o1"), id="left"), oracle(world_of("roundabout-v1"))]
+)
 def test_ways_meet_wherever_boxes_along_them_touch(world):
     crossings, names = world.crossings, sorted(world.crossings.ways)
     for number, one in enumerate(names):
@@ -203,7 +234,9 @@ def test_ways_meet_wherever_boxes_along_them_touch(world):
             if one.split(">")[0] == other.split(">")[0]:
                 assert (one, other) in crossings.meetings
                 continue
-            (along, first), (its_along, second) = (inner(*poses_of_way(world, name)) for name in (one, other))
+            (along, first), (its_along, second) = (
+                inner(*poses_of_way(world, name)) for name in (one, other)
+            )
             touches = touching(first, second, 0.0)
             assert ((one, other) in crossings.meetings) == touches.any(), (one, other)
             if not touches.any():
@@ -237,7 +270,11 @@ class OwnJunction(OwnEnvironment):
             ("m", "e", StraightLane([20, 0], [200, 0], speed_limit=15)),
             ("n", "s", StraightLane([-20, -120], [-20, 120], speed_limit=15)),
             ("b", "c", StraightLane([0, 150], [0, 20], speed_limit=15)),
-            ("c", "m", CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15)),
+            (
+                "c",
+                "m",
+                CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15),
+            ),
         ]
         lane = next(lane for origin, _, lane in lanes if origin == self.config["from"])
         at = lane.length - 90
@@ -251,7 +288,10 @@ def own_junction(register):
 
 
 def test_joining_vehicle_yields_and_equal_roads_have_none(own_junction):
-    assert zones_of(own_junction("w")) == {"n>s": ("crossing", "left", "none"), "b>e": ("merging", "right", "ego")}
+    assert zones_of(own_junction("w")) == {
+        "n>s": ("crossing", "left", "none"),
+        "b>e": ("merging", "right", "ego"),
+    }
     assert zones_of(own_junction("b")) == {"w>e": ("merging", "left", "npc")}
 
 
