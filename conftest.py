@@ -182,9 +182,8 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
     gc.disable()
     collected = yield
     gc.freeze()
-    atexit.register(
-        gc.unfreeze
-    )  # or libraries report leaks; earlier, pytest would search these objects five times
+    # or libraries report leaks; earlier, pytest would search these objects five times
+    atexit.register(gc.unfreeze)
     gc.set_threshold(100_000, 50, 100)
     gc.enable()
     if any(item.get_closest_marker("processes") for item in session.items):

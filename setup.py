@@ -28,12 +28,11 @@ DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are in the .pxd files
 }
-SHARED = f"pytest_pafot.{KERNEL['SHARED']}"  # Cython's own code for arrays, compiled once instead of in each module
+# Cython's own code for arrays, compiled once instead of in each module
+SHARED = f"pytest_pafot.{KERNEL['SHARED']}"
 FLAGS = [
-    *(
-        "-ffp-contract=off",
-        "-fno-math-errno",
-    ),  # no fused multiply-add, so interpreted modules return the same numbers
+    # no fused multiply-add, so interpreted modules return the same numbers
+    *("-ffp-contract=off", "-fno-math-errno"),
     *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run takes 5 % longer
 ]
 
@@ -41,9 +40,8 @@ FLAGS = [
 BUILD = "build"
 """The folder in which setuptools saves generated and compiled files."""
 EXAMPLES = "example_ads"
-EXAMPLES_INSTALLED = (
-    f"pytest_pafot.{EXAMPLES}"  # a top-level package `example_ads` could clash with the user's own
-)
+# a top-level package `example_ads` could clash with the user's own
+EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"
 
 
 class WithoutExampleTests(build_py):
@@ -78,14 +76,11 @@ class AllOrNothing(build_ext):
 
     def run(self) -> None:
         """Compile all extensions. If this fails, warn and remove them. The record does not exist while files change."""
-        roots = (
-            Path(self.build_lib),
-            Path(),
-        )  # anyone who runs Python in a clone imports the clone's package
+        # anyone who runs Python in a clone imports the clone's package
+        roots = Path(self.build_lib), Path()
         records = [root / self.record() for root in roots]
-        self.force = (
-            self.force or not records[0].exists()
-        )  # an interrupted build may have left incomplete files
+        # an interrupted build may have left incomplete files
+        self.force = self.force or not records[0].exists()
         for record in records:
             record.unlink(missing_ok=True)
         try:

@@ -24,9 +24,8 @@ def run(task, **given):
 
 def failures_of_base(there, environ):
     """Install and search BASE in its checkout. Return its failures, or a requirement that it does not meet."""
-    if environ.get(
-        "REQUIREMENTS"
-    ):  # What BASE requires takes precedence over what is already installed.
+    # What BASE requires takes precedence over what is already installed.
+    if environ.get("REQUIREMENTS"):
         own, outer = there / ".pafot-venv", sysconfig.get_path("purelib")
         venv.create(own, with_pip=True, symlinks=True)
         also = Path(sysconfig.get_path("purelib", vars={"base": str(own)}), "outer.pth")
@@ -50,9 +49,8 @@ if isinstance(known, str):
         file=sys.stderr,
     )
     sys.exit(2)
-for each in (
-    known
-):  # The search does not report copied failures as new. Do not copy failures of removed tests.
+# The search does not report copied failures as new. Do not copy failures of removed tests.
+for each in known:
     file, (test, _, name) = each["file"], each["test"].partition("::")
     root = next(at for at in (there, *there.parents) if (at / file).is_file())  # pytest's rootdir
     copy, test = (Path(os.path.relpath(root / path, there)) for path in (file, test))

@@ -52,14 +52,11 @@ myst_links_external_new_tab = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-napoleon_custom_sections = [
-    ("Attributes", "params_style"),
-    ("Keys", "params_style"),
-]  # one list, like arguments
+# one list, like arguments
+napoleon_custom_sections = [("Attributes", "params_style"), ("Keys", "params_style")]
 default_role = "code"  # in a docstring `name` is code, as in Markdown
-nitpick_ignore_regex = [
-    ("py:.*", ".*")
-]  # types of other libraries; what a docstring names, see closest()
+# types of other libraries; what a docstring names, see closest()
+nitpick_ignore_regex = [("py:.*", ".*")]
 
 _PICTURE = re.compile(
     r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'

@@ -119,7 +119,8 @@ class CarefulDriver:
         """Return whether the ego must stop before a zone for another vehicle."""
         ego = seen.ego
         if not self.can_stop(ego, other):
-            return False  # the ego is in the zone or about to enter it, and leaves it sooner if it continues
+            # the ego is in the zone or about to enter it, and leaves it sooner if it continues
+            return False
         if other.is_inside:
             return True
         if other.id in self.let_go or (other.zone.priority == "ego" and self.gives_way(other)):

@@ -33,9 +33,8 @@ class Command(NamedTuple):
     module: str
     help: str
     about: str
-    is_gate: bool = (
-        False  # whether its exit code is a verdict on a policy, so that it has to leave a receipt
-    )
+    # whether its exit code is a verdict on a policy, so that it has to leave a receipt
+    is_gate: bool = False
 
 
 # The module of a command is imported only if the command is run.
@@ -99,15 +98,13 @@ def main_in_child(arguments: list[str]) -> int:
         parent, _, folder = told.partition(":")
         from pytest_pafot.support.process import bound_to  # noqa: PLC0415
 
-        bound_to(
-            int(parent), signal.SIGTERM
-        )  # on other systems, it continues if its parent is killed
+        # on other systems, it continues if its parent is killed
+        bound_to(int(parent), signal.SIGTERM)
         try:
             _hold_back(False)
             code = main(arguments)
-        except (
-            SystemExit
-        ) as ended:  # after --help or for invalid arguments; a SystemExit of a policy is caught
+        # after --help or for invalid arguments; a SystemExit of a policy is caught
+        except SystemExit as ended:
             code = int(ended.code or 0)
         except KeyboardInterrupt:  # while modules are imported
             code = _interrupted(arguments)
@@ -131,9 +128,8 @@ def main_in_child(arguments: list[str]) -> int:
                 child.send_signal(number)
 
     for number in ENDS:
-        if (
-            signal.getsignal(number) is not signal.SIG_IGN
-        ):  # both processes ignore the signals that nohup ignores
+        # both processes ignore the signals that nohup ignores
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, pass_on)
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         # The same interpreter with the same options.
@@ -229,9 +225,8 @@ def _run(given: list[str]) -> int:
     own = (
         given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
     )
-    bad_use = (
-        4 if asked == "replay" else BAD_USE
-    )  # as in pytest, because 2 means that a policy hung
+    # as in pytest, because 2 means that a policy hung
+    bad_use = 4 if asked == "replay" else BAD_USE
     try:
         arguments_given, unknown = parser.parse_known_args(
             given[:own], argparse.Namespace(pytest=given[own + 1 :])
@@ -264,9 +259,8 @@ def _run(given: list[str]) -> int:
             code = bad_use
         sys.stdout.flush()
     except OSError as error:
-        if (
-            error.filename is not None
-        ):  # neither the current folder nor the standard output has a file name
+        # neither the current folder nor the standard output has a file name
+        if error.filename is not None:
             raise
         return _without_surroundings(arguments_given.command, error)
     return code
@@ -276,12 +270,10 @@ def _without_surroundings(command: str, error: OSError) -> int:
     from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a device, not a path)
-        os.dup2(
-            nowhere.fileno(), sys.stdout.fileno()
-        )  # otherwise, Python fails to flush the rest when it exits
-    if isinstance(
-        error, BrokenPipeError
-    ):  # such as `| head`, which has read enough, so this is no error
+        # otherwise, Python fails to flush the rest when it exits
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    # such as `| head`, which has read enough, so this is no error
+    if isinstance(error, BrokenPipeError):
         return 128 + 13
     expected, fix = "a writable standard output", way_out(error, "or redirect it")
     if isinstance(error, FileNotFoundError):

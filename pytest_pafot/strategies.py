@@ -251,9 +251,8 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
         return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
 
-    return st.builds(
-        speed, st.integers(first, last), st.booleans()
-    )  # all examples shrink to round speeds
+    # all examples shrink to round speeds
+    return st.builds(speed, st.integers(first, last), st.booleans())
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:

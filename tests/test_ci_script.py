@@ -86,10 +86,8 @@ def begun_repository(tmp_path_factory):
     git(folder, "init", "-q", "--bare", "--template=", "-b", "main", "origin.git")
     git(folder, "init", "-q", "--template=", "-b", "main", "clone")
     git(folder / "clone", "remote", "add", "origin", "../origin.git")
-    for name in (
-        "clone",
-        "origin.git",
-    ):  # otherwise git checks after each command whether to clean up
+    # otherwise git checks after each command whether to clean up
+    for name in ("clone", "origin.git"):
         git(folder / name, "config", "maintenance.auto", "false")
         git(folder / name, "config", "receive.autogc", "false")
     commit(folder / "clone", {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
@@ -100,9 +98,8 @@ def begun_repository(tmp_path_factory):
 @pytest.fixture
 def repository(begun_repository, tmp_path):
     """Return the folder of a clone with one commit, next to the original repository."""
-    shutil.copytree(
-        begun_repository, tmp_path, dirs_exist_ok=True
-    )  # creating a repository takes twenty git processes
+    # creating a repository takes twenty git processes
+    shutil.copytree(begun_repository, tmp_path, dirs_exist_ok=True)
     return tmp_path / "clone"
 
 
@@ -262,9 +259,8 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
         while not begins.exists() and script.poll() is None and time.monotonic() < deadline:
             time.sleep(0.05)
         script.send_signal(getattr(signal, name))
-        rest, _ = script.communicate(
-            timeout=60
-        )  # This also waits for pytest, which uses the same output.
+        # This also waits for pytest, which uses the same output.
+        rest, _ = script.communicate(timeout=60)
     assert script.returncode == 128 + getattr(signal, name), rest
     assert re.search(
         r" The search ended early, after \d+ of \d+ runs, because it was interrupted\.",

@@ -100,9 +100,8 @@ def test_ci_and_nox_run_every_omitted_stage():
     (*_, chosen) = PYTEST["addopts"]
     left_out = set(re.findall(r"not (\w+)", chosen))
     every = {line.partition(":")[0] for line in PYTEST["markers"]}
-    assert left_out == every - {
-        "optional"
-    }  # which conftest.py leaves out, so that they are not imported
+    # which conftest.py leaves out, so that they are not imported
+    assert left_out == every - {"optional"}
     (stages,) = re.findall(r'^part python -m pytest .*-m "(.*)"$', CI, re.MULTILINE)
     assert set(stages.split(" or ")) == every
     assert f'STAGES = "{stages}"' in NOX

@@ -158,9 +158,8 @@ def compared(text, varies):
 
 def check_output(block, printed):
     """Check a block against the printed output. Return it as it should be."""
-    printed = re.sub(
-        r"(\bin [\d.]+s) \(\d+:\d\d:\d\d\)", r"\1", printed
-    )  # pytest adds it after the first minute
+    # pytest adds it after the first minute
+    printed = re.sub(r"(\bin [\d.]+s) \(\d+:\d\d:\d\d\)", r"\1", printed)
     position, right = 0, block.rest
     for part in re.split(r"^\.\.\.$", block.rest, flags=re.MULTILINE):
         found = compared(part, block.varies).search(printed, position)
@@ -310,9 +309,8 @@ def folder(pytester, monkeypatch, document):
         }.items():
             monkeypatch.setenv(f"GIT_{name}_{what}", value)
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
-    monkeypatch.setenv(
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
-    )  # other installed plugins may print and warn
+    # other installed plugins may print and warn
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Folder(pytester, document)
 
 

@@ -33,9 +33,8 @@ def installed(tmp_path_factory):
         (ROOT / "pytest_pafot", package),
         (ROOT / "example_ads", package / "example_ads"),
     ):
-        for compiled in source.rglob(
-            "*.pyc"
-        ):  # the same files have the same code, and compiling takes seconds
+        # the same files have the same code, and compiling takes seconds
+        for compiled in source.rglob("*.pyc"):
             place = copy / compiled.relative_to(source)
             if place.parents[1].is_dir():
                 place.parent.mkdir(exist_ok=True)

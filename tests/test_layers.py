@@ -73,10 +73,12 @@ QUESTIONS = {
     "criticality/signals.py": 1,  # places on two ways are of use only together
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/views.py": 1,  # two kinds of pictures, and the page has both
-    "algorithms/evaluation.py": 1,  # how far ahead is along the ego's heading there; and whether NPCs can cross
+    # how far ahead is along the ego's heading there; and whether NPCs can cross
+    "algorithms/evaluation.py": 1,
     "algorithms/space.py": 3,  # whether NPCs can cross at all
     "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
-    "world/driving/vehicles.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
+    # highway-env's vehicles have two compiled classes, by their lanes
+    "world/driving/vehicles.py": 3,
     "world/engines/policies.py": 1,  # the same
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans
     "world/gym_world.py": 2,  # how long runs of such an environment are, and who makes its policy
@@ -232,9 +234,8 @@ def test_no_route_climbs_more_often_than_before(tmp_path):
         env={name: value for name, value in os.environ.items() if name != "CI"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    floor = floors(arrows_of_the_package()) | {
-        "pytest_pafot": sys.maxsize
-    }  # it imports what it is asked for
+    # it imports what it is asked for
+    floor = floors(arrows_of_the_package()) | {"pytest_pafot": sys.maxsize}
     wrong = []
     for route in ROUTES:
         calls = json.loads((tmp_path / f"{route}.json").read_text())

@@ -97,8 +97,10 @@ def test_side_by_side_it_is_the_gap_across():
 
 @table(("holds", "trace"), [
     (properties.no_fault, following(1.0)),  # without a collision
-    (properties.rss_distance, trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-6.0, OWN, speed=30.0))),  # by the NPC
-    (properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)),  # which is not on the ego's path
+    # by the NPC
+    (properties.rss_distance, trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-6.0, OWN, speed=30.0))),
+    # which is not on the ego's path
+    (properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)),
 ])  # fmt: skip
 def test_property_that_does_not_apply_has_no_margin(holds, trace):
     assert judged(holds, trace) == []

@@ -17,9 +17,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TRUCK
 from tests.helpers.tables import table
 
-SIMPLEST = settings(
-    max_examples=500, phases=[Phase.generate, Phase.shrink]
-)  # no need to explain which parts matter
+# no need to explain which parts matter
+SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])
 
 
 EVERY = st.one_of(

@@ -74,13 +74,11 @@ def test_messages_name_ways_out_only_by_the_functions():
         "searches/options.py",
         "support/errors.py",
     }
-    assert [said for place, said in found if place == "__main__.py"] == [
-        "python -m pytest"
-    ]  # the name of the program
+    # the name of the program
+    assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]
     flags = {option.flag for option in OPTIONS}
-    assert {
-        said for place, said in found if place == "searches/options.py"
-    } <= flags  # texts of help
+    # texts of help
+    assert {said for place, said in found if place == "searches/options.py"} <= flags
 
 
 def test_every_option_that_messages_name_exists_also_in_search():
@@ -108,13 +106,8 @@ OF_COMMANDS = {
 }
 SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "accept")]}
 """The helps with the options of a command."""
-OF_PYTEST = {
-    "--rootdir",
-    "--collect-only",
-    "--no-header",
-    "--runxfail",
-    "--tb",
-}  # of the sessions that commands start
+# of the sessions that commands start
+OF_PYTEST = {"--rootdir", "--collect-only", "--no-header", "--runxfail", "--tb"}
 
 
 def test_every_command_explains_itself(capsys):
@@ -207,9 +200,8 @@ def here(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "500")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv(
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
-    )  # loading other plugins takes as long as a search
+    # loading other plugins takes as long as a search
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     return folder
 

@@ -153,11 +153,8 @@ def frame(finding: SimpleNamespace, index: int) -> Image.Image:
             continue
         cos, sin = math.cos(heading), math.sin(heading)
         ink = NPC_INKS[(number - 1) % len(NPC_INKS)] if number else DANGER if has_collided else INK
-        for length, color in (
-            (0.5, ink),
-            (0.3, PAPER),
-            (0.2, ink),
-        ):  # the light strip is the windscreen
+        # the light strip is the windscreen
+        for length, color in ((0.5, ink), (0.3, PAPER), (0.2, ink)):
             corners = [(-0.5, -0.5), (length, -0.5), (length, 0.5), (-0.5, 0.5)]
             turned = [(ahead * vehicle.length, right * vehicle.width) for ahead, right in corners]
             places = [at(along + a * cos - r * sin, across_ + a * sin + r * cos) for a, r in turned]

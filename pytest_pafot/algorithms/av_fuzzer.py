@@ -34,9 +34,8 @@ from pytest_pafot.model.trace import FloatArray
 
 # The values of `lane` in a Lane-Instruction.
 ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")
-LANE_CHANGE = (
-    34.0  # weight of a lane change in the distance between two scenarios; 1 m/s has the weight 1
-)
+# weight of a lane change in the distance between two scenarios; 1 m/s has the weight 1
+LANE_CHANGE = 34.0
 RESTART_CANDIDATES = 1000  # random scenarios from which a restart selects its population
 LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never select
 
@@ -46,15 +45,15 @@ class AvFuzzerState:
     """The state of an AV-Fuzzer search."""
 
     generation: int = 0  # generation of the main search; 0 is the first random population
-    local_generation: int = (
-        0  # 0 in the main search; a local search starts at 1, the generation of the mutants
-    )
+    # 0 in the main search; a local search starts at 1, the generation of the mutants
+    local_generation: int = 0
     # the members that the last generation selected; empty before a random population
     population: tuple[Evaluation, ...] = ()
     local_population: tuple[Evaluation, ...] = ()  # the same for the current local search
     global_best: Evaluation | None = None  # the fittest of all generations; it survives restarts
     local_best: Evaluation | None = None  # the best of the current local search
-    slot: int = 0  # index of the best member of the population, which the result of a local search can replace
+    # index of the best member of the population, which the result of a local search can replace
+    slot: int = 0
     # the highest fitness of each selected population, from the last random population on
     bests: tuple[float, ...] = ()
     restarted_at: int = 0  # the generation whose population was random
@@ -82,25 +81,20 @@ class AvFuzzerSearch:
     # chain in this space, so that algorithms are compared over the same duration.
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)  # number of scenarios in a generation
-    slices: int = field(
-        default=5, kw_only=True
-    )  # number of manoeuvres of each NPC, one per time slice
+    # number of manoeuvres of each NPC, one per time slice
+    slices: int = field(default=5, kw_only=True)
     # A generation of n scenarios has n // 2 possible crossovers, each with this probability.
     crossover_rate: float = field(default=0.4, kw_only=True)
-    mutation_rate: float = field(
-        default=0.4, kw_only=True
-    )  # probability that one manoeuvre of a scenario changes
+    # probability that one manoeuvre of a scenario changes
+    mutation_rate: float = field(default=0.4, kw_only=True)
     # Number of generations in a local search after its mutants; 0 disables local searches.
     local_generations: int = field(default=5, kw_only=True)
-    local_mutation_factor: float = field(
-        default=1.5, kw_only=True
-    )  # the resulting rate is at most 1
-    local_after: int = field(
-        default=2, kw_only=True
-    )  # generations without local searches after a random one
-    restart_after: int = field(
-        default=5, kw_only=True
-    )  # generations without progress before a restart
+    # the resulting rate is at most 1
+    local_mutation_factor: float = field(default=1.5, kw_only=True)
+    # generations without local searches after a random one
+    local_after: int = field(default=2, kw_only=True)
+    # generations without progress before a restart
+    restart_after: int = field(default=5, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.population < 2:
@@ -305,9 +299,8 @@ def farthest(
 
     ``checkpoints`` contains the :func:`features` of these scenarios, as an array of shape [scenarios, NPCs, slices, 2].
     """
-    of_all = np.ascontiguousarray(
-        np.moveaxis(checkpoints, 0, -1)
-    )  # makes the values of all scenarios contiguous
+    # makes the values of all scenarios contiguous
+    of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))
     checkpoints = np.moveaxis(of_all, -1, 0)
     by_distance = sorted(
         candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints)))

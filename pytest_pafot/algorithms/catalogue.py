@@ -79,15 +79,12 @@ class AlgorithmClass:
     name: str  # the name in files and reports; a class must define it
     # the fitness that it maximises unless the user requests another one: a name or a function
     fitness: str | Fitness = "default"
-    instructions: Sequence[str] = tuple(
-        LANE_SHARES
-    )  # kinds of instructions that it can sample, default last
-    is_papers: bool = (
-        False  # whether its scenarios are like the paper's: two NPCs, one start and no patterns
-    )
-    draws_vehicles: bool = (
-        False  # whether it samples from all vehicles that fit the world, if the mark names none
-    )
+    # kinds of instructions that it can sample, default last
+    instructions: Sequence[str] = tuple(LANE_SHARES)
+    # whether its scenarios are like the paper's: two NPCs, one start and no patterns
+    is_papers: bool = False
+    # whether it samples from all vehicles that fit the world, if the mark names none
+    draws_vehicles: bool = False
 
     @property
     def draws_by_number(self) -> bool:

@@ -30,17 +30,15 @@ SLOT_SHARES = {
     "just after": 0.3,
     "well after": 0.2,
 }
-SLOWEST = (
-    3.0  # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
-)
+# lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
+SLOWEST = 3.0
 # Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
 # sampled.
 SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
 SHIFT = 0.8  # standard deviation of the time by which a variation moves a slot [s]
 ATTEMPTS = 30  # attempts to sample an instruction that does not conflict with other NPCs
-MOST_ATTEMPTS = (
-    1000  # attempts to sample an instruction that fits its path, before an error is raised
-)
+# attempts to sample an instruction that fits its path, before an error is raised
+MOST_ATTEMPTS = 1000
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,9 +185,8 @@ def ended_by(trace: Trace) -> str:
     )
     if is_own and trace.ended:
         return trace.ended
-    return (
-        (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""
-    )  # without the module
+    # without the module
+    return (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""
 
 
 # Results of earlier runs of a search, so that none of the last ten thousand runs is simulated twice.
@@ -196,7 +195,8 @@ Chains = tuple[tuple[Hashable, ...], ...]  # one number per gene, or the whole g
 _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 
-EVALUATIONS = 10_000  # The largest number of remembered runs. They take 25 MB with two NPCs, and 90 MB with six.
+# The largest number of remembered runs. They take 25 MB with two NPCs, and 90 MB with six.
+EVALUATIONS = 10_000
 
 
 class EvaluationCache:
@@ -211,13 +211,11 @@ class EvaluationCache:
         self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False
     ) -> None:
         self._seeds_matter = seeds_matter
-        self._evaluations: dict[
-            _Key, dict[int | None, Evaluation]
-        ] = {}  # by key, then by the seed if it matters
+        # by key, then by the seed if it matters
+        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}
         self._depths: list[int] = []
-        self._runs: deque[list[_Place]] = (
-            deque()
-        )  # for each run, the oldest first, the places that only it occupies
+        # for each run, the oldest first, the places that only it occupies
+        self._runs: deque[list[_Place]] = deque()
         for evaluation in evaluations:
             self.add(evaluation)
 
@@ -330,9 +328,8 @@ class GenerationFinished:
 
     generation: int
     local_generation: int
-    population: tuple[
-        Evaluation, ...
-    ]  # the unchanged elites, then the new scenarios in the requested order
+    # the unchanged elites, then the new scenarios in the requested order
+    population: tuple[Evaluation, ...]
     elites: int  # number of elites in the population
 
 
@@ -359,9 +356,8 @@ class LocalSearchFinished:
 
     generation: int
     incumbent: Evaluation
-    best: (
-        Evaluation  # the best of the local search; the incumbent itself if nothing better was found
-    )
+    # the best of the local search; the incumbent itself if nothing better was found
+    best: Evaluation
     replaced: bool  # whether the best replaced the incumbent in the main population
 
 
@@ -382,9 +378,8 @@ class PlanFinished:
     evaluated: int  # evaluated scenarios
     simulated: int  # number of these that were simulated
     best: Evaluation | None  # None if no run was eligible
-    seconds: float = field(
-        compare=False
-    )  # measured by the clock of the search, and therefore not reproducible
+    # measured by the clock of the search, and therefore not reproducible
+    seconds: float = field(compare=False)
 
 
 # The events that an algorithm returns from `tell`.
@@ -407,31 +402,25 @@ class Health:
     """The counts of evaluations on which a search's health warnings are based."""
 
     evaluated: int = 0  # scenarios that the algorithm requested
-    simulated: int = (
-        0  # of these, the scenarios that were run; all other counts are about these runs
-    )
-    invalid: int = (
-        0  # runs in which an NPC touched another NPC or a fixed object, or the user's code failed
-    )
-    errors: Counter[str] = field(
-        default_factory=Counter
-    )  # invalid runs in which the user's code failed
+    # of these, the scenarios that were run; all other counts are about these runs
+    simulated: int = 0
+    # runs in which an NPC touched another NPC or a fixed object, or the user's code failed
+    invalid: int = 0
+    # invalid runs in which the user's code failed
+    errors: Counter[str] = field(default_factory=Counter)
     discarded: int = 0  # runs that the user's function rejected or skipped
     genes_started: int = 0  # genes that started, over all NPCs, in runs that no ADS error cut short
     genes_reached: int = 0  # of these, the genes whose target was reached
     valid: int = 0  # runs that were neither invalid nor discarded; the next three are among these
     failing: int = 0  # runs that failed, or whose process died
-    no_interaction: int = (
-        0  # runs without an ADS error in which no NPC gave the ego a reason to react
-    )
+    # runs without an ADS error in which no NPC gave the ego a reason to react
+    no_interaction: int = 0
     barely_moved: int = 0  # runs that passed although the ego barely moved
-    ended: Counter[str] = field(
-        default_factory=Counter
-    )  # runs that ended early and did not fail, by reason
+    # runs that ended early and did not fail, by reason
+    ended: Counter[str] = field(default_factory=Counter)
     at_once: int = 0  # of these, the runs that were not discarded and ended within the first second
-    close: int = (
-        0  # of the runs that ended early, those with a vehicle within two seconds of the ego
-    )
+    # of the runs that ended early, those with a vehicle within two seconds of the ego
+    close: int = 0
     gap: float = math.inf  # the smallest gap to another vehicle in runs that ended early [m]
 
     @classmethod

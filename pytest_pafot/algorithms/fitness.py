@@ -47,9 +47,8 @@ def risks(trace: Trace) -> tuple[float, float, float, float]:
     # - SD is smallest if a leader pulls away. The shortfall of the safety distance replaces it. A crossing NPC is no
     #   leader, so its post-encroachment time counts instead: 1 / (1 + PET / 1 s).
     # - ET, the time to the collision, becomes 1 - ET / planned duration.
-    planned = criticality.planned_duration(
-        trace
-    )  # 0 if NPCs cross and the ADS fails at its first decision
+    # 0 if NPCs cross and the ADS fails at its first decision
+    planned = criticality.planned_duration(trace)
     times = (
         each.post_encroachment_time for each in criticality.passages(trace) if each is not None
     )
@@ -92,7 +91,8 @@ def paper(trace: Trace) -> float:
 
 SAMPLES_PER_SECOND = 4
 FAR = 130.0  # the largest distance, which also replaces an unknown one [m]
-CAR_LENGTH = 4.6  # subtracted from the distance between centres; NPCs closer than this along the road are ignored [m]
+# subtracted from the distance between centres; NPCs closer than this along the road are ignored [m]
+CAR_LENGTH = 4.6
 NEAR = 20.0  # NPCs farther away along the road are ignored [m]
 BESIDE = 2.0  # NPCs farther away across the road are ignored [m]
 TURNING = math.radians(1.0)  # angle to the road above which the ego counts as changing lanes [rad]
@@ -272,9 +272,8 @@ def _function(fitness: object) -> Fitness:
         )
     try:
         signature = inspect.signature(fitness)
-    except (
-        ValueError
-    ):  # some builtins have no signature, so the first call shows whether the function fits
+    # some builtins have no signature, so the first call shows whether the function fits
+    except ValueError:
         return fitness
     try:
         signature.bind(None)

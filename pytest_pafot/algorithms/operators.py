@@ -29,7 +29,8 @@ from pytest_pafot.model.vehicle_type import CAR, VehicleType
 STARTS, PATTERNS = 0.1, 0.35
 # Fraction of the new starts that change the initial speed. The others change the ego's lane.
 SPEEDS = 0.7
-VEHICLES = 0.05  # fraction of the mutations that change the vehicle of an NPC, if the space has several vehicles
+# fraction of the mutations that change the vehicle of an NPC, if the space has several vehicles
+VEHICLES = 0.05
 # Fraction of the mutations that change the number of NPCs or the duration of genes, if the space varies them.
 SIZES = 0.1
 
@@ -41,9 +42,8 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     return _with_npc(a, *first, rng), _with_npc(b, *second, rng)
 
 
-Swapped = tuple[
-    int, Chromosome, VehicleType
-]  # the index of an NPC, and the chain and the vehicle that it receives
+# the index of an NPC, and the chain and the vehicle that it receives
+Swapped = tuple[int, Chromosome, VehicleType]
 
 
 def _with_npc(

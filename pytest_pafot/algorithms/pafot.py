@@ -35,24 +35,20 @@ from pytest_pafot.model.scenario import Scenario
 class PafotState:
     """The state of a PAFOT search."""
 
-    generation: int = (
-        0  # generation of the main search, from 0; it advances after each generation's local search
-    )
-    local_generation: int = (
-        0  # 0 in the main search; a local search starts at 1, the generation of the mutants
-    )
+    # generation of the main search, from 0; it advances after each generation's local search
+    generation: int = 0
+    # 0 in the main search; a local search starts at 1, the generation of the mutants
+    local_generation: int = 0
     population: tuple[Evaluation, ...] = ()  # population of the main search
     local_population: tuple[Evaluation, ...] = ()  # population of the current local search
-    best: Evaluation | None = (
-        None  # the best since the last restart; None before the first eligible run
-    )
+    # the best since the last restart; None before the first eligible run
+    best: Evaluation | None = None
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
     kept: tuple[Evaluation, ...] = ()  # evaluated members that the next population keeps
     fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
-    asked: tuple[Scenario, ...] | None = (
-        None  # scenarios under evaluation; None if the next call must be ask
-    )
+    # scenarios under evaluation; None if the next call must be ask
+    asked: tuple[Scenario, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +72,8 @@ class PafotSearch:
     is_papers: ClassVar[bool] = True
 
     space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(
-        default=4, kw_only=True
-    )  # the paper gives no number, but its totals imply 4
+    # the paper gives no number, but its totals imply 4
+    population: int = field(default=4, kw_only=True)
     crossover_rate: float = field(default=0.5, kw_only=True)
     mutation_rate: float = field(default=0.5, kw_only=True)
     elite_share: float = field(default=0.25, kw_only=True)

@@ -62,9 +62,8 @@ def plain(value: Any) -> Any:
         if isinstance(value, Mapping):
             return [[plain(key), plain(each)] for key, each in value.items()]
         if isinstance(value, AbstractSet):
-            return sorted(
-                map(plain, value), key=json.dumps
-            )  # the order of a set differs from process to process
+            # the order of a set differs from process to process
+            return sorted(map(plain, value), key=json.dumps)
         return operator.index(value)
     except TypeError:
         raise ValueError(

@@ -84,9 +84,8 @@ class GenerationState:
     generation: int = 0  # counted from 0
     local_generation: int = 0  # always 0, because there is no local search
     best: Evaluation | None = None  # None before the first eligible run
-    asked: tuple[Scenario, ...] | None = (
-        None  # scenarios under evaluation; None if the next call must be ask
-    )
+    # scenarios under evaluation; None if the next call must be ask
+    asked: tuple[Scenario, ...] | None = None
     proposed: int = 0  # number of proposed scenarios so far
 
 
@@ -276,9 +275,8 @@ class Plan:
                     f"{name}: expected a whole number, at least {least}, but received {value!r}"
                 )
         self.algorithm = algorithm
-        self.started = PlanStarted(
-            algorithm=algorithm.name, generations=generations, seed=seed
-        )  # the first event
+        # the first event
+        self.started = PlanStarted(algorithm=algorithm.name, generations=generations, seed=seed)
         # The totals over all evaluations so far.
         self.sums = PlanFinished(
             reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
@@ -291,9 +289,8 @@ class Plan:
 
     def _begin(self) -> None:
         self._cache.forget()
-        self._told: list[
-            tuple[Evaluation, bool]
-        ] = []  # each with True if an earlier run provided it
+        # each with True if an earlier run provided it
+        self._told: list[tuple[Evaluation, bool]] = []
         self._asked: tuple[Scenario, ...] = ()
         if not self.is_over:
             # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.

@@ -121,10 +121,8 @@ MIRRORED = {
     for pattern in PATTERNS
 }
 
-WALKING = (
-    (1.0, -2.0),
-    (1.0, 3.0),
-)  # the lowest and highest target speed on the way from one pattern to the next
+# the lowest and highest target speed on the way from one pattern to the next
+WALKING = ((1.0, -2.0), (1.0, 3.0))
 
 
 def chain_of_patterns(
@@ -177,10 +175,12 @@ def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
 
 # Smallest number of genes of an NPC on a curved road, even in short runs: one each to approach, cut in and brake.
 LEAST_GENES = 3
-CROSSING = 0.75  # fraction of the NPCs whose path crosses or joins the ego's path, if the world has such paths
+# fraction of the NPCs whose path crosses or joins the ego's path, if the world has such paths
+CROSSING = 0.75
 CARS = (CAR,)  # the vehicles of a search in which all NPCs are cars
 OTHERS = 1 / 6  # fraction of the NPCs that are not cars, if NPCs can be other vehicles
-MOST_ON_GRID = 2  # largest number of other NPCs if there are crossing ones: one ahead of the ego and one behind it
+# largest number of other NPCs if there are crossing ones: one ahead of the ego and one behind it
+MOST_ON_GRID = 2
 
 # The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or either.
 Instructions = Literal["cells", "lanes", "both"]
@@ -274,9 +274,8 @@ class SearchSpace:
             )
 
     def _in_ticks(self, seconds: float) -> float:
-        return round(
-            max(round(seconds / self.tick), 1) * self.tick, 13
-        )  # such as 2.01 instead of 2.0099999999999998
+        # such as 2.01 instead of 2.0099999999999998
+        return round(max(round(seconds / self.tick), 1) * self.tick, 13)
 
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC and the same total duration."""
@@ -543,9 +542,8 @@ def chains_of(
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions."""
-    return repaired(
-        random_lanes(space.choices, space.npcs, space.genes, rng), 0, space
-    )  # no repair, so no seed
+    # no repair, so no seed
+    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
 
 
 def repaired(
@@ -574,9 +572,8 @@ def repaired(
             ]
         )
         npcs = tuple(next(fitting) if chain[0].on_grid else chain for chain in npcs)
-    make = (
-        Scenario.trusted if isinstance(start, Scenario) else Scenario
-    )  # a space is a user's input, so check it
+    # a space is a user's input, so check it
+    make = Scenario.trusted if isinstance(start, Scenario) else Scenario
     return make(
         npcs=npcs,
         seed=seed,

@@ -216,9 +216,8 @@ class Conflict:
         self._end, self._hz, frame = trace.ticks, trace.physics_hz, self._frame
         self._ahead = frame.ahead[npc]  # of the NPC, from the ego
         self._gaps = np.abs(self._ahead) - frame.half_along[0] - frame.half_along[npc + 1]
-        self._met = last_stretch(
-            frame.gap_across[:, npc] <= 0
-        )  # from here to the impact they were in the same track
+        # from here to the impact they were in the same track
+        self._met = last_stretch(frame.gap_across[:, npc] <= 0)
         self.danger = last_stretch(
             self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9)
         )

@@ -45,9 +45,8 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
     streak, is_known = 0, True
     for number in range(1, round(WINDOW / STEP) + 1):
         avoids: bool | None = True
-        if (
-            _tick(trace, number * STEP) >= 0
-        ):  # before the start of the run, a takeover needs no simulation
+        # before the start of the run, a takeover needs no simulation
+        if _tick(trace, number * STEP) >= 0:
             taken = drive(trace, number * STEP, take_over)
             if taken is None:
                 return None

@@ -67,9 +67,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     }
     for place, why in unlisted.items():
         sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
+    # each once
     below = {
         below.resolve(): below for folder in arguments.folders for below in folders_below(folder)
-    }  # each once
+    }
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
     added = added_in(arguments.folders)
     sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]

@@ -74,9 +74,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise RequestError(
             f"--check: expected {expected}, received none. The failure was: {ascii_text(expect.brief)}"
         )
-    arguments.blame = (
-        "any" if expect.responsibility == "npc" else "ego"
-    )  # as in a test that found it
+    # as in a test that found it
+    arguments.blame = "any" if expect.responsibility == "npc" else "ego"
     name, text = written_test(arguments, "--ads", f"world=pafot.load({str(saved.path)!r}).world")
     saved.check_fits(chosen_world(arguments.world, arguments.config) or saved.world)
     version = saved.finding.found.versions.get("pytest-pafot", "of an unknown version")

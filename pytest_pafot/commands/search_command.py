@@ -150,9 +150,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     given |= {"against": against, "corpus": corpus}
     options = [f"{flag(option)}={value}" for option, value in given.items() if value is not None]
     environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-    if corpus.is_relative_to(
-        here
-    ):  # otherwise, the command `replay` does not find the file by its id
+    # otherwise, the command `replay` does not find the file by its id
+    if corpus.is_relative_to(here):
         own = {name: getattr(arguments, name) for name in ("ads", "world", "config", "check")}
         environ[OF_REPLAY] = shlex.join(
             word for name in own if own[name] for word in (f"--{name}", own[name])
@@ -189,9 +188,8 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) ->
         try:
             left = process.wait()
         except KeyboardInterrupt as interrupt:
-            if not isinstance(
-                interrupt, Ended
-            ):  # the session received Ctrl-C as well, and a second one would end it
+            # the session received Ctrl-C as well, and a second one would end it
+            if not isinstance(interrupt, Ended):
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(LAST_SECONDS)
             raise
@@ -275,9 +273,8 @@ def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
 
 
 def _check_module(reference: str, option: str) -> None:
-    if (
-        reference.partition(":")[0] == Path(TEST).stem
-    ):  # the file of the search would hide that module
+    # the file of the search would hide that module
+    if reference.partition(":")[0] == Path(TEST).stem:
         raise RequestError(
             f"{option}: expected a module other than {TEST}, received {reference}. Rename the module"
         )

@@ -53,7 +53,6 @@ def run_tasks(
 
 
 def _run(work: Callable[[Any], Any], scratch: str, task: Any, tell: object) -> Any:
-    tempfile.tempdir = (
-        scratch  # deleted at the end of the command, because a killed worker deletes no files
-    )
+    # deleted at the end of the command, because a killed worker deletes no files
+    tempfile.tempdir = scratch
     return work(task)

@@ -52,9 +52,8 @@ class Entrant(NamedTuple):
 
     algorithm: AlgorithmClass
     seconds: float | None = None  # duration of its runs [s]; None for the world's duration
-    is_papers: bool = (
-        False  # whether it has the paper's scenarios instead of the scenarios of a test
-    )
+    # whether it has the paper's scenarios instead of the scenarios of a test
+    is_papers: bool = False
 
     @classmethod
     def parse(cls, given: str) -> Entrant:
@@ -88,15 +87,16 @@ class Entrant(NamedTuple):
 class Plan:
     """The arguments of a comparison, which determine the result of every run of every algorithm."""
 
-    ads: str  # the policy: the name of a module of example_ads, `module:factory` or `module:factory:argument`
+    # the policy: the name of a module of example_ads, `module:factory` or `module:factory:argument`
+    ads: str
     algorithms: tuple[str, ...]  # names or `module:Class`, see `Entrant.parse`
     runs: int = 10  # number of runs of each algorithm
     seconds: float = 3600.0  # simulated time of a run, after which no scenario starts [s]
     seed: int = 0  # the base seed, from which the seeds of all runs are derived
-    blame: str = "any"  # `any` counts all collisions as failures, as the paper does; for `ego` see `pafot.search`
-    fitness: str | None = (
-        None  # the fitness of all algorithms; None for the fitness of each algorithm
-    )
+    # `any` counts all collisions as failures, as the paper does; for `ego` see `pafot.search`
+    blame: str = "any"
+    # the fitness of all algorithms; None for the fitness of each algorithm
+    fitness: str | None = None
     world: str | None = None  # as on the command line
     config: str | None = None  # as on the command line
     duration: float | None = None  # duration of a scenario [s]; None for the duration of the world
@@ -197,9 +197,8 @@ class Plan:
             blame=self.blame,
             fitness=self.fitness,
             seconds=self.seconds,
-            generations=math.ceil(
-                self.seconds
-            ),  # runs of an ADS that fails immediately take no simulated time
+            # runs of an ADS that fails immediately take no simulated time
+            generations=math.ceil(self.seconds),
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:

@@ -84,18 +84,12 @@ def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
     columns = {
         "scenarios": (counted, "sum"),  # unique ones, which are those that were simulated
         "collisions": (hits, "sum"),
-        "by_npc": (
-            hits & (frame["responsibility"] == "npc"),
-            "sum",
-        ),  # collisions with only the NPC responsible
-        "by_ego": (
-            hits & frame["is_ego_failure"],
-            "sum",
-        ),  # collisions with the ego responsible, maybe with the NPC
-        "distinct": (
-            frame["signature"].where(failures),
-            "nunique",
-        ),  # failures of the ego, including ADS errors
+        # collisions with only the NPC responsible
+        "by_npc": (hits & (frame["responsibility"] == "npc"), "sum"),
+        # collisions with the ego responsible, maybe with the NPC
+        "by_ego": (hits & frame["is_ego_failure"], "sum"),
+        # failures of the ego, including ADS errors
+        "distinct": (frame["signature"].where(failures), "nunique"),
         # Simulated time until the first failure of the ego [s]; infinite without one.
         "first_failure": (frame["clock"].where(failures, math.inf), "min"),
     }
@@ -130,7 +124,8 @@ CONFIDENCE = 0.95
 class Effect(NamedTuple):
     """The effect size between two samples, with its confidence interval and a test."""
 
-    a12: float  # probability that a value of the first sample is greater, counting ties as half (Vargha-Delaney)
+    # probability that a value of the first sample is greater, counting ties as half (Vargha-Delaney)
+    a12: float
     low: float  # lower end of the 95 % confidence interval of A12
     high: float  # upper end of the interval
     p: float  # p-value of the two-sided Mann-Whitney U test
@@ -142,9 +137,8 @@ class Survival:
 
     times: FloatArray  # times at which the estimated fraction decreases
     shares: FloatArray  # the fraction after each of these times
-    median: (
-        float  # the first time at which the fraction is at most one half; infinite if there is none
-    )
+    # the first time at which the fraction is at most one half; infinite if there is none
+    median: float
 
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
@@ -227,9 +221,8 @@ def log_rank(
     """Return the two-sided p-value of the log-rank test on times that may be censored, or 1 if it is undefined."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    with np.errstate(
-        invalid="ignore"
-    ):  # if all events are at the same time, scipy divides 0 by a variance of 0
+    # if all events are at the same time, scipy divides 0 by a variance of 0
+    with np.errstate(invalid="ignore"):
         result = scipy.stats.logrank(
             _censored(first, first_censored), _censored(second, second_censored)
         )

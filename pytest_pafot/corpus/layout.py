@@ -189,9 +189,8 @@ def safe_name(text: str) -> str:
     bracketed = re.fullmatch(_WITH_PARAMETERS, text)
     parts = bracketed.groups() if bracketed else (text,)
     suffix = ""
-    if (
-        text.isascii() and text != text.lower() and "." not in parts[0]
-    ):  # "A.b" and "A::b" must differ
+    # "A.b" and "A::b" must differ
+    if text.isascii() and text != text.lower() and "." not in parts[0]:
         # Two names that differ only in case get different suffixes, because some file systems ignore case.
         parts = (parts[0].replace("::", "."), *parts[1:])
         suffix = f"~{_runs_of_case(text)}"

@@ -255,9 +255,8 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     top = Field(path, lines, (), value)
     if not isinstance(value, dict):
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
-    if (
-        "pafot" not in value
-    ):  # checked first: nothing else can be checked in a file of a newer version
+    # checked first: nothing else can be checked in a file of a newer version
+    if "pafot" not in value:
         raise top.error(
             f"the key 'pafot' with the value {VERSION}", received="a mapping without this key"
         )
@@ -645,7 +644,8 @@ def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
     # `own` contains separate readers for some keys.
     keys, types = _keys_of(kind), types_of(kind)
     fields = field.mapping(keys)
-    values = {  # in the order of the keys, so that a function in ``own`` can rely on the values before its own
+    # in the order of the keys, so that a function in ``own`` can rely on the values before its own
+    values = {
         key: own[key](fields[key]) if key in own else _value(fields[key], types[key], own)
         for key in keys.all
         if key in fields

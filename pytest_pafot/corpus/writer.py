@@ -123,9 +123,8 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 
 def text_of(finding: Finding) -> str:
     """Return the content of a corpus file."""
-    test = (
-        finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)
-    )  # not inside brackets
+    # not inside brackets
+    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)
 
     xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
@@ -317,6 +316,5 @@ def _escaped(character: str) -> str:
     if "\ud800" <= character <= "\udfff":
         # No text file in UTF-8 can contain a lone surrogate.
         return "\ufffd"
-    return character.encode("unicode_escape").decode(
-        "ascii"
-    )  # \n, \x1b, \u2028: YAML uses the same escapes
+    # \n, \x1b, \u2028: YAML uses the same escapes
+    return character.encode("unicode_escape").decode("ascii")

@@ -458,20 +458,17 @@ def _lowest(values: FloatArray) -> float:
 class RssRules:
     """The parameters of RSS, with the default values of Intel's ad-rss-lib (appendix "Parameter Discussion")."""
 
-    ego_response: float = (
-        1.0  #: rho of the ego, the response time, in which it may still accelerate [s]
-    )
+    # : rho of the ego, the response time, in which it may still accelerate [s]
+    ego_response: float = 1.0
     npc_response: float = 2.0  #: rho of the NPCs [s]
     acceleration: float = 3.5  #: a_max,accel, the hardest acceleration in the response time [m/s^2]
-    least_braking: float = (
-        4.0  #: a_min,brake, the least braking of a follower after its response time [m/s^2]
-    )
+    # : a_min,brake, the least braking of a follower after its response time [m/s^2]
+    least_braking: float = 4.0
     hardest_braking: float = 8.0  #: a_max,brake, the hardest braking of a leader [m/s^2]
     #: a_lat,max,accel, the hardest sideways acceleration towards the other vehicle in the response time [m/s^2]
     lateral_acceleration: float = 0.2
-    lateral_braking: float = (
-        0.8  #: a_lat,min,brake, the least sideways braking after the response time [m/s^2]
-    )
+    # : a_lat,min,brake, the least sideways braking after the response time [m/s^2]
+    lateral_braking: float = 0.8
     fluctuation: float = 0.1  #: mu, the lateral margin [m]
 
     def __post_init__(self) -> None:
@@ -538,9 +535,8 @@ class RoadFrame:
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
     def half_lengths(self, npc: int) -> FloatArray:
-        return np.asarray(
-            self.half_along[0] + self.half_along[npc + 1]
-        )  # of ego and NPC together [m]
+        # of ego and NPC together [m]
+        return np.asarray(self.half_along[0] + self.half_along[npc + 1])
 
     @property
     def gap_along(self) -> FloatArray:
@@ -571,9 +567,8 @@ class RoadFrame:
 
 
 def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
-    return (
-        speed * np.abs(speed) / (2 * deceleration)
-    )  # the stopping distance [m], with the sign of the speed
+    # the stopping distance [m], with the sign of the speed
+    return speed * np.abs(speed) / (2 * deceleration)
 
 
 def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:

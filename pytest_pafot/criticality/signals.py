@@ -150,9 +150,8 @@ class Measure:
     unit: str  # such as `m/s^3`; empty for a number
     worse: Worse
     source: str  # definition and publication
-    function: Callable[
-        [Trace], FloatArray
-    ]  # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
+    # returns the shape [ticks + 1], or [NPCs, ticks + 1] for each NPC
+    function: Callable[[Trace], FloatArray]
 
     def __call__(self, trace: Trace) -> float:
         """Return the run's worst value of the measure as a fitness between -1 and 1."""
@@ -385,9 +384,8 @@ class _Vehicle:
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            __tracebackhide__ = (
-                True  # pytest then shows the line of the test function as the last one
-            )
+            # pytest then shows the line of the test function as the last one
+            __tracebackhide__ = True
             measure = BY_NAME.get(self._of + name)
             if measure is None or name.startswith("_"):
                 raise AttributeError(f"{self._of}{name}: expected one of {', '.join(dir(self))}")

@@ -18,10 +18,12 @@ import numpy as np
 
 from pytest_pafot.model.trace import FloatArray
 
-SLACK = 1e-6  # The margin of the bounds [m]. It is far larger than rounding errors, so no extreme tick is skipped.
+# The margin of the bounds [m]. It is far larger than rounding errors, so no extreme tick is skipped.
+SLACK = 1e-6
 # The limit of the sum of the absolute values of a vehicle's state. For a larger sum or NaN, numpy's arrays are used.
 LARGE = 1e6
-LONGEST = 1e5  # The limit of the smallest time to contact [s]. If it is longer or infinite, numpy's arrays are used.
+# The limit of the smallest time to contact [s]. If it is longer or infinite, numpy's arrays are used.
+LONGEST = 1e5
 UNENDING = math.inf  # infinity as a C number; `math.inf` would be a Python object in compiled code
 TINY = 1e-290  # avoids a division by zero [m/s], as in criticality/measures.py
 

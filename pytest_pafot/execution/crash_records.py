@@ -118,9 +118,8 @@ class CrashRecord:
                 self._descriptor, self._path = _create(self._folder)
             os.lseek(self._descriptor, 0, os.SEEK_SET)
             # Not synchronised with the disk: the record must survive a crash of the process, but not of the machine.
-            os.write(
-                self._descriptor, record + b"\n"
-            )  # only the first line counts, so an old record may be longer
+            # only the first line counts, so an old record may be longer
+            os.write(self._descriptor, record + b"\n")
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
 
@@ -158,12 +157,10 @@ class Leftover:
     owner: str = ""  # the node id of the test; empty if the record cannot be read
     scenario: Scenario | None = None  # None if the record cannot be read
     world: Mapping[str, Any] | None = None  # as JSON-compatible data
-    reference: str = (
-        ""  # the name of the policy that drove instead of the ADS; empty if the ADS drove
-    )
-    is_watched: bool = (
-        False  # True if a session watched the process, so both must have died together
-    )
+    # the name of the policy that drove instead of the ADS; empty if the ADS drove
+    reference: str = ""
+    # True if a session watched the process, so both must have died together
+    is_watched: bool = False
 
     def discard(self) -> None:
         with suppress(OSError):  # if it cannot be removed, it is only reported again

@@ -93,9 +93,8 @@ class DaskPool:
     def __init__(self, executor: Executor, job: Job) -> None:
         self.recovered: list[LostRun] = []  # process deaths in runs whose second attempt succeeded
         self.failure = ""  # why the cluster cannot be used any more, or empty
-        self.unable: list[
-            Exception
-        ] = []  # exceptions of workers in runs that this process has to repeat
+        # exceptions of workers in runs that this process has to repeat
+        self.unable: list[Exception] = []
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # True if some worker has the content of the parcel
@@ -286,9 +285,8 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
         # There is an idle child for each task that has run at the same time. A child is put back after its task.
         pool = idle.get_nowait()
     except Empty:
-        multiprocessing.current_process().daemon = (
-            False  # Dask's workers are daemons, which cannot have children.
-        )
+        # Dask's workers are daemons, which cannot have children.
+        multiprocessing.current_process().daemon = False
         work = partial(_run, whole)
         pool = WorkerPool(
             work, 1, method="spawn", patience=whole.patience, idle=IDLE, **whole.closing

@@ -37,11 +37,12 @@ ResultT = TypeVar("ResultT")
 # fork, so the factory must be picklable there.
 START_METHOD = "fork" if sys.platform == "linux" else "spawn"
 
-GRACE = 5.0  # additional time for a decision after its limit, or for a process that does not respond [s]
-IGNORED = 0.5  # additional time for a decision that ignores its interrupt; only the process ends, not the session [s]
-FAREWELL = (
-    2.0  # time in which a process can end normally, together with its own child processes [s]
-)
+# additional time for a decision after its limit, or for a process that does not respond [s]
+GRACE = 5.0
+# additional time for a decision that ignores its interrupt; only the process ends, not the session [s]
+IGNORED = 0.5
+# time in which a process can end normally, together with its own child processes [s]
+FAREWELL = 2.0
 
 # How a process ended. These words must not change, because findings store them.
 KILLED = "was ended by SIGKILL"  # by something else, such as Linux when memory runs out
@@ -344,9 +345,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
             how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
-            is_garbled = (
-                not worker.connection.readable
-            )  # the pipe was closed by a message above the largest size
+            # the pipe was closed by a message above the largest size
+            is_garbled = not worker.connection.readable
             how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
             self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
@@ -389,10 +389,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         worker.process.join()
         worker.connection.close()
         self._workers.remove(worker)
-        for pid in (
-            *children,
-            worker.pid,
-        ):  # The children may be processes of the worker's own pool.
+        # The children may be processes of the worker's own pool.
+        for pid in (*children, worker.pid):
             self.ended(pid)
 
 
@@ -539,9 +537,8 @@ def _end_with_session(patience: float | None) -> None:
             bound_to(pid, signal.SIGKILL)
 
     def watch() -> None:
-        while (
-            session.is_alive() and os.getppid() == session.pid
-        ):  # a process of a policy may keep the pipe open
+        # a process of a policy may keep the pipe open
+        while session.is_alive() and os.getppid() == session.pid:
             session.join(POLL)
         if patience:
             if sys.platform != "win32":  # on Windows, the signal would kill the process
@@ -588,9 +585,8 @@ def _serve(
     def interrupt(*signalled: object) -> None:
         nonlocal is_leaving
         is_leaving = True
-        signal.signal(
-            signal.SIGTERM, signal.SIG_DFL
-        )  # the next signal ends a task that ignores the exception
+        # the next signal ends a task that ignores the exception
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         if may_raise:  # otherwise, the process first sends its answer completely, and then ends
             raise KeyboardInterrupt  # no run mistakes it for an error of its policy
 
@@ -599,12 +595,12 @@ def _serve(
         time.sleep(2 * POLL)  # meanwhile, the pool kills this process and its children
         os._exit(1)
 
-    gc.freeze()  # otherwise, a garbage collection would touch, and so copy, all of the session's memory
+    # otherwise, a garbage collection would touch, and so copy, all of the session's memory
+    gc.freeze()
     for other in inherited:
         other.close()  # otherwise, the end of the session or of another process would go unnoticed
-    multiprocessing.current_process().daemon = (
-        False  # daemons cannot have children, but an ADS may start processes
-    )
+    # daemons cannot have children, but an ADS may start processes
+    multiprocessing.current_process().daemon = False
     # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
     # SIG_IGN, but must be interrupted.
     signal.signal(signal.SIGINT, lambda number, frame: None)
@@ -619,9 +615,8 @@ def _serve(
     with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             may_raise = True
-            if is_leaving or not connection.poll(
-                idle
-            ):  # Python continues to wait after a signal that raises nothing
+            # Python continues to wait after a signal that raises nothing
+            if is_leaving or not connection.poll(idle):
                 break
             may_raise = False
             task = connection.recv()
@@ -633,9 +628,8 @@ def _serve(
                     raise KeyboardInterrupt
                 said = _sendable((True, work(task, tell)))
                 may_raise = False
-            except (
-                MemoryError
-            ):  # not sent: the session would run the task itself and use up its own memory
+            # not sent: the session would run the task itself and use up its own memory
+            except MemoryError:
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
@@ -685,7 +679,6 @@ def _portable(error: BaseException) -> Exception:
         pickle.loads(pickle.dumps(told))  # noqa: S301  (made by this process)
     except Exception:  # noqa: BLE001  (pickling the user's exception may raise anything)
         told = worded
-    told.add_note(
-        "In a worker:\n" + "".join(traceback.format_exception(error))
-    )  # Tracebacks cannot be pickled.
+    # Tracebacks cannot be pickled.
+    told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))
     return told

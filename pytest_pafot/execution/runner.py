@@ -60,9 +60,8 @@ class CapturedOutput:
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
-    threads: list[tuple[str, str]] = field(
-        default_factory=list
-    )  # names and tracebacks of threads that raised
+    # names and tracebacks of threads that raised
+    threads: list[tuple[str, str]] = field(default_factory=list)
 
     def __bool__(self) -> bool:
         return bool(self.out or self.err or self.records or self.warned or self.threads)
@@ -80,15 +79,12 @@ class CapturedOutput:
         for record in self.records:
             logging.getLogger().callHandlers(record)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "always"
-            )  # They passed the filters of the process in which they were raised.
+            # They passed the filters of the process in which they were raised.
+            warnings.simplefilter("always")
             for each in self.warned:
                 warnings.warn_explicit(*each)
-        for (
-            name,
-            text,
-        ) in self.threads:  # The hook of the session is pytest's, which warns, or fails the test.
+        # The hook of the session is pytest's, which warns, or fails the test.
+        for name, text in self.threads:
             error = RuntimeError(f"in another process:\n{text}")
             threading.excepthook(
                 threading.ExceptHookArgs((type(error), error, None, threading.Thread(name=name)))
@@ -194,9 +190,8 @@ Answer: TypeAlias = Timed | Exception
 # A pool for scenarios and Whole tasks, which get one Answer each, and for Chunks, which send several Timed results.
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 
-RunScenario: TypeAlias = Callable[
-    [Scenario, Callable[..., Any]], Any
-]  # runs a scenario with the policies of a factory
+# runs a scenario with the policies of a factory
+RunScenario: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]
 
 Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
 
@@ -215,16 +210,14 @@ class Job:
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()  # the folder of the project, whose modules are sent to other machines
-    read: Callable[[Trace], Any] | None = (
-        None  # returns the value that a process sends instead of a trace
-    )
+    # returns the value that a process sends instead of a trace
+    read: Callable[[Trace], Any] | None = None
     # Runs a chunk in a process.
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
     own: RunScenario | None = None  # runs scenarios instead of the world
     remark: str = ""  # an addition to the note on the use of processes
-    reference: str = (
-        ""  # the name of the policy if it is the reference of a search; empty for the tested one
-    )
+    # the name of the policy if it is the reference of a search; empty for the tested one
+    reference: str = ""
 
     @property
     def patience(self) -> float:
@@ -327,10 +320,8 @@ def run_recorded(
     if read is None:
         return trace, output, seconds
     made = None
-    with (
-        capture_output() as said,
-        suppress(Exception),
-    ):  # it is raised again in the session, which reads the trace
+    # it is raised again in the session, which reads the trace
+    with capture_output() as said, suppress(Exception):
         made = read(trace)
     return (trace, output, seconds) if made is None else (made, output.followed_by(said), seconds)
 
@@ -411,10 +402,8 @@ DEAR = 0.010  # mean duration of a run from which other processes make a search 
 # to be fast.
 WARM_RUNS = 2  # number of runs after the first one that decide whether other processes are used
 
-AHEAD, AHEAD_ELSEWHERE = (
-    4,
-    128,
-)  # scenarios that are sent in advance to each process, and to all workers of a cluster
+# scenarios that are sent in advance to each process, and to all workers of a cluster
+AHEAD, AHEAD_ELSEWHERE = 4, 128
 
 
 class Here:
@@ -429,9 +418,8 @@ class Here:
         self._held = ExitStack()
 
     def __enter__(self) -> Self:
-        self._held.enter_context(
-            GENERATORS.held(may_share=not self.is_elsewhere)
-        )  # clients have threads
+        # clients have threads
+        self._held.enter_context(GENERATORS.held(may_share=not self.is_elsewhere))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -456,9 +444,8 @@ class Here:
         made = self._once(scenario, drive, most)
         if isinstance(made, Trace):
             # A run in another process can have more decisions than ``most``, so their number is limited here.
-            self.decisions += min(
-                len(made.actions), most or sys.maxsize
-            )  # the same for any number of processes
+            # the same for any number of processes
+            self.decisions += min(len(made.actions), most or sys.maxsize)
         return made
 
     def results(
@@ -531,12 +518,10 @@ class Apart(Here):
         self._cluster = cluster
         self._clock = clock
         # Processes start only when a run turns out to be slow, see _learn.
-        self._expected: dict[
-            Scenario | Whole, None
-        ] = {}  # announced runs that were not yet requested, in order
-        self.recovered: list[
-            LostRun
-        ] = []  # process deaths in earlier pools, in scenarios that succeeded later
+        # announced runs that were not yet requested, in order
+        self._expected: dict[Scenario | Whole, None] = {}
+        # process deaths in earlier pools, in scenarios that succeeded later
+        self.recovered: list[LostRun] = []
         self._pool: ScenarioPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False

@@ -116,9 +116,8 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         positions = _rear_axles(states, size[0])
         kind = trace.vehicle_type(vehicle).kind
         box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
-        if (
-            minor == 0
-        ):  # CARLA's scenario_runner, which reads this version, finds the ego by this property
+        # CARLA's scenario_runner, which reads this version, finds the ego by this property
+        if minor == 0:
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")
         entities.add_scenario_object(name, box)
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
@@ -197,8 +196,7 @@ def _replay(
 
 
 def _at(name: str, seconds: float, minor: int, triggers: str = "start") -> xosc.ValueTrigger:
-    rule = (
-        xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan
-    )  # 1.0 has no other rule that stays true
+    # 1.0 has no other rule that stays true
+    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan
     condition = xosc.SimulationTimeCondition(seconds, rule)
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)

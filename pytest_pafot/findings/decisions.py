@@ -23,13 +23,12 @@ PARTS = {
     "lateral_acceleration": (0.2, "{:z.1f} m/s^2"),
     "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
-SHARE = (
-    0.05  # the smallest difference that counts between two numbers in an environment's own units
-)
-CENTRED = 0.25  # the largest distance from the centre of a lane at which the ego counts as driving along it [m]
-ALONG = (
-    DRIFTING / 10
-)  # the sideways speed below which the ego counts as driving along the road [m/s]
+# the smallest difference that counts between two numbers in an environment's own units
+SHARE = 0.05
+# the largest distance from the centre of a lane at which the ego counts as driving along it [m]
+CENTRED = 0.25
+# the sideways speed below which the ego counts as driving along the road [m/s]
+ALONG = DRIFTING / 10
 # Below this sideways speed, or change of sideways speed between two decisions, the ego counts as not steering [m/s].
 STEADY = 0.003
 # A drift takes at least this long to reach the line [s]. A lane change also starts slowly, but takes less time.
@@ -52,7 +51,8 @@ class Moment:
     # The smallest of the tried changes of the NPC that alter the action, and the altered action; empty if no change has
     # an effect, None if none was tried.
     otherwise: str | None = None
-    reference: str = ""  # the action of the reference, if the test has one and this is the first decision that differs
+    # the action of the reference, if the test has one and this is the first decision that differs
+    reference: str = ""
     # The conditions that the policy evaluated, each with its line, values and outcome, in groups: about this NPC, about
     # no vehicle or an unknown one, about other vehicles. A group starts with the conditions that have a different
     # outcome after the change in `otherwise`. The others follow, the latest first.
@@ -145,9 +145,8 @@ def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
 
 def deed_of(run: Run, sentences: Sequence[str]) -> str:
     """Return the sentence about what the ego did wrong, or an empty string if the ego is not at fault."""
-    if (
-        run.responsibility not in ("ego", "both") or len(sentences) < 2
-    ):  # a fixed object has only the last sentence
+    # a fixed object has only the last sentence
+    if run.responsibility not in ("ego", "both") or len(sentences) < 2:
         return ""
     return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
 
@@ -171,9 +170,8 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     side = 1.0 if drifts[tick] > 0 else -1.0
     lanes = [_lane_of(action, math.nan) for action in trace.actions[: number + 1]]
     is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
-    if any(
-        is_across
-    ):  # The ego is steered gently to the lane of a LaneCommand, so its motion shows the decision late.
+    # The ego is steered gently to the lane of a LaneCommand, so its motion shows the decision late.
+    if any(is_across):
         while not is_across[number]:
             number -= 1
         while number and is_across[number - 1]:

@@ -63,9 +63,8 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 def portable(text: str, root: str = "") -> str:
     """Replace the parts of a string that differ between processes or checkouts."""
-    if (
-        root
-    ):  # paths become relative to the project here, and to the folder of installed packages below
+    # paths become relative to the project here, and to the folder of installed packages below
+    if root:
         text = text.replace(root.rstrip("\\/") + os.sep, "")
     text = _TO_PACKAGES.sub("", text)
     text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
@@ -92,9 +91,8 @@ ID_RULE = "1 to 120 ASCII letters, digits, '_', '-' and '.', with no '-' or '.' 
 class Bounded:
     """The value and the bounds of a failed check, in the check's unit."""
 
-    value: float | None = (
-        None  # None if it was not a finite number, or if its magnitude was above a billion
-    )
+    # None if it was not a finite number, or if its magnitude was above a billion
+    value: float | None = None
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -557,9 +555,8 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 # Two runs without contact count as the same if no position differs by more than this distance [m].
 SAME_PLACE = 0.5
 
-SAME_TIME = (
-    0.2  # largest difference between the times of two events that count as the same event [s]
-)
+# largest difference between the times of two events that count as the same event [s]
+SAME_TIME = 0.2
 
 # A replay that passes continues for this time after the end of the saved run [s]. A saved run ends shortly after its
 # failure, so a policy that only drives more slowly would pass before it makes the same mistake.
@@ -667,9 +664,8 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
 
 def is_faster(severity: Severity | None, known: float) -> bool:
     """Return whether a collision's closing speed is above the limit for an accepted collision."""
-    return (
-        speed_of(severity) or 0.0
-    ) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
+    # the speeds have three decimals
+    return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005
 
 
 def speed_of(severity: Severity | None) -> float | None:

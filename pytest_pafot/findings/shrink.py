@@ -200,9 +200,8 @@ def shrink(
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
     deletions: tuple[Pass, ...] = (plainer, longer, *passes(), partial(_later, starts=gate.starts))
     with suppress(OutOfBudget):
-        yield from gate.exhausts(
-            _ending
-        )  # first, because a run that does not fail takes as long as its scenario
+        # first, because a run that does not fail takes as long as its scenario
+        yield from gate.exhausts(_ending)
         yield from gate.exhausts(_alone)
         yield from gate.exhausts(_cars)
     small = partial(
@@ -242,9 +241,8 @@ class _Gate:
     tried: dict[Scenario, Scenario | None]
     ahead: int
     spent: int = 0
-    starts: dict[Scenario, tuple[Start, ...]] = field(
-        default_factory=dict
-    )  # of failing scenarios as executed
+    # of failing scenarios as executed
+    starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)
 
     def simplifies(self, candidate: Scenario | None) -> Asking[bool]:
         # If the candidate fails in the same way and is simpler, it becomes the best.
@@ -320,9 +318,8 @@ class _Gate:
             self.tried[candidate] = None
             if shown is not None:
                 driven, self.starts[driven] = shown
-                self.tried[candidate] = self.tried[driven] = (
-                    driven  # repair does not change an executed scenario
-                )
+                # repair does not change an executed scenario
+                self.tried[candidate] = self.tried[driven] = driven
         return self.tried[candidate]
 
 
@@ -376,9 +373,8 @@ def _cars(scenario: Scenario) -> Candidates:
 def _ending(scenario: Scenario) -> Candidates:
     # Remove the end of the scenario, most of it first.
     most = scenario.genes - 1
-    for genes in sorted(
-        {1 << power for power in range(most.bit_length())} | {most} - {0}
-    ):  # 1, 2, 4 ... most
+    # 1, 2, 4 ... most
+    for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):
         yield scenario.truncated(genes)
 
 
@@ -396,9 +392,8 @@ def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Ca
     # The run starts at a later gene, the latest one first, with the ego's lane and speed at the start of that gene.
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
         lasting = [npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene]
-        if (
-            not lasting
-        ):  # the world sets the duration of runs, so a run can continue after the last gene
+        # the world sets the duration of runs, so a run can continue after the last gene
+        if not lasting:
             continue
         left = scenario.of_npcs(lasting)
         npcs = tuple(chain[gene:] for chain in left.npcs)

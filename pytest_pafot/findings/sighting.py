@@ -44,37 +44,30 @@ class Observed:
     is_error: bool = False  # the file could not be read, or its scenario could not be run
     fails: bool = False  # a run fails, or its process dies
     is_same: bool = False  # it fails as the file states
-    is_later: bool = (
-        False  # only the second run failed, which continues after the end of the saved run
-    )
-    is_unsteady: bool = (
-        False  # the runs differ for a reason other than the chance that a rate measures
-    )
+    # only the second run failed, which continues after the end of the saved run
+    is_later: bool = False
+    # the runs differ for a reason other than the chance that a rate measures
+    is_unsteady: bool = False
     is_handled: bool = False  # a run passes, and the situation of the file occurred in it
     # It was run with other package versions, or in a world or with a perception that differs from the test's.
     is_elsewhere: bool = False
-    is_rare: bool = (
-        False  # the failure occurs by chance, and so rarely that ten passing runs do not show a fix
-    )
+    # the failure occurs by chance, and so rarely that ten passing runs do not show a fix
+    is_rare: bool = False
     is_accepted: bool = False  # the file accepts its failure today
     beyond: str = ""  # how the failure differs from the one that the file accepts, or empty
-    reference_passes: bool | None = (
-        None  # whether the reference passes the same scenario; None without a reference
-    )
+    # whether the reference passes the same scenario; None without a reference
+    reference_passes: bool | None = None
     against: str = ""  # the reference that a replay is compared with, or empty
-    severity: Severity | None = (
-        None  # None if it passes, if nothing measures it, or if there is no run
-    )
+    # None if it passes, if nothing measures it, or if there is no run
+    severity: Severity | None = None
     before: Severity | None = None  # for a replay, the severity with the reference, or None
-    sentences: tuple[
-        str, ...
-    ] = ()  # the sentences on a collision; empty until an item reports the finding
+    # the sentences on a collision; empty until an item reports the finding
+    sentences: tuple[str, ...] = ()
     # If the replay passes, number of runs of a complete search of this session that found no such failure; otherwise 0.
     searched: int = 0
     drawn: int = 0  # number of random scenarios among `searched`
-    elsewhere: str = (
-        ""  # id of a finding of this session's search that fails as the file states, or empty
-    )
+    # id of a finding of this session's search that fails as the file states, or empty
+    elsewhere: str = ""
     rate: FailureRate | None = None  # how often it fails now; None unless the file has a rate
     note: str = ""  # a note on the time after the end of the saved run, or on the rate
     # A process died or hung in that time. The crash record must stay, because without it the next session would run the
@@ -160,11 +153,11 @@ class Seen:
     # new detail, so only the last event of a finding is valid.
 
     finding: Finding  # the content of the file
-    node_id: str  # node id of the item that replays it in this session or, for a new finding, in the next one
+    # node id of the item that replays it in this session or, for a new finding, in the next one
+    node_id: str
     test: str = ""  # for a replay, the node id of its test in this session
-    observed: Observed = field(
-        default_factory=Observed
-    )  # the facts of its runs, which determine the label
+    # the facts of its runs, which determine the label
+    observed: Observed = field(default_factory=Observed)
     headline: str = ""  # how the run failed; empty if it passes
     path: str = ""  # path of the file; empty if a new finding has none
     # Why a new finding does not count, or why its file is missing or incomplete; for a replay, how it differs from the
@@ -173,9 +166,8 @@ class Seen:
     unshrunk: str = ""  # why a new finding is not yet fully shrunk, or empty
     # The last decision that could have avoided the failure; None if it is unknown or was not examined.
     moment: Moment | None = None
-    alike: Alike = field(
-        default_factory=Alike
-    )  # the runs of the search with the same failure as a new finding
+    # the runs of the search with the same failure as a new finding
+    alike: Alike = field(default_factory=Alike)
 
     @property
     def id(self) -> str:

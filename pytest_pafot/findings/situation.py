@@ -23,9 +23,8 @@ from pytest_pafot.oracle.run import Run
 # The tolerances were chosen by replaying failures of policies with seeded defects, both with the repaired policies and
 # with policies that avoid the situation; docs/explanation/findings.md explains the tolerances.
 
-BEFORE = (
-    2.0  # the situation of a failure without a collision is taken this time before the failure [s]
-)
+# the situation of a failure without a collision is taken this time before the failure [s]
+BEFORE = 2.0
 # All runs start in the same way, so in these first seconds [s], a situation counts only if the saved one was there.
 START = 4.0
 # An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane.
@@ -79,13 +78,12 @@ class Situation:
 
     npc: int  # index of the NPC in the scenario
     time: float  # time of the moment [s]
-    gap: float  # gap between the bumpers along the road [m]; minus the overlap if they are side by side
-    place: Literal[
-        "ahead", "behind"
-    ]  # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
-    lanes_to_right: (
-        int  # number of lanes from the ego's lane to the NPC's lane; negative to the left
-    )
+    # gap between the bumpers along the road [m]; minus the overlap if they are side by side
+    gap: float
+    # `ahead` if the NPC's centre is ahead of the ego's centre, otherwise `behind`
+    place: Literal["ahead", "behind"]
+    # number of lanes from the ego's lane to the NPC's lane; negative to the left
+    lanes_to_right: int
     ego_speed: float  # along the road [m/s]
     # Along the road [m/s]. For a leader, ahead in the ego's lane, it is the lowest speed from the moment to the
     # failure.
@@ -155,10 +153,8 @@ class Situation:
             round(min(self.time, START) * trace.physics_hz),
         )
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
-        slower, apart = (
-            self.ego_speed - self.npc_speed,
-            self.gap + frame.half_lengths(npc),
-        )  # between the centres
+        # between the centres
+        slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)
         if self.lanes_to_right == 0 and self.place == "ahead":
             ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
             along = np.where(ahead > 0, ahead / np.maximum(REACH, REACH_FACTOR * apart), np.inf)

@@ -63,12 +63,10 @@ class Failure:
     kind: str  # name of the exception class
     message: str = ""  # message of the exception
     assertion: str = ""  # source text of the failing assertion; empty if it is unknown
-    traceback: str = (
-        ""  # traceback to save in the file, for example of an ADS that raised, or empty
-    )
-    check: Check | None = (
-        None  # the failed check, with its name also in `assertion`; None if something else failed
-    )
+    # traceback to save in the file, for example of an ADS that raised, or empty
+    traceback: str = ""
+    # the failed check, with its name also in `assertion`; None if something else failed
+    check: Check | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,18 +82,16 @@ class Signature:
     failure: str  # name of the exception class
     assertion: str  # the normalised assertion, without file, line, numbers and addresses
     outcome: Outcome  # how the run ended; `safe` for a property
-    responsibility: Responsibility  # `ego` if the ego is responsible, alone or with the NPC; otherwise `npc` or `none`
-    mistake: Mistake | None = (
-        None  # what the ego did wrong; None if it is not responsible for a collision
-    )
+    # `ego` if the ego is responsible, alone or with the NPC; otherwise `npc` or `none`
+    responsibility: Responsibility
+    # what the ego did wrong; None if it is not responsible for a collision
+    mistake: Mistake | None = None
     # The rule by which the ego is responsible, only for the slug.
     fault: Fault | None = field(default=None, compare=False, repr=False)
-    side: Side | None = (
-        None  # side of the ego that was hit; None without a collision, or if there is a fault
-    )
-    cell: Cell | None = (
-        None  # cell of the NPC at the collision; None without a collision, or if there is a fault
-    )
+    # side of the ego that was hit; None without a collision, or if there is a fault
+    side: Side | None = None
+    # cell of the NPC at the collision; None without a collision, or if there is a fault
+    cell: Cell | None = None
     # Zone in which the NPC crossed; None if it did not, or for a fault that is not about a zone.
     zone: str | None = None
     # The NPC's manoeuvre shortly before the collision; None without a collision, or if there is a fault.
@@ -354,10 +350,8 @@ def _of_check(check: Check) -> Severity:
     by = max(over, under)
     if not math.isfinite(by + check.margin):
         return Severity(kind="check", value=None, unit=check.unit, name=check.name)
-    value, margin = (
-        float(f"{by:.6g}"),
-        float(f"{check.margin:.6g}"),
-    )  # rounded, so that it is equal in every process
+    # rounded, so that it is equal in every process
+    value, margin = float(f"{by:.6g}"), float(f"{check.margin:.6g}")
     return Severity(kind="check", value=value, unit=check.unit, margin=margin, name=check.name)
 
 
@@ -390,17 +384,14 @@ class Verdict:
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
-    checks: tuple[
-        Check, ...
-    ] = ()  # the checks that the function made, in order, up to one that failed
+    # the checks that the function made, in order, up to one that failed
+    checks: tuple[Check, ...] = ()
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, regardless of what the function asserts
-    severity: Severity | None = (
-        None  # severity of the failure; None if there is none, or if nothing measures it
-    )
-    reference: Verdict | None = (
-        None  # verdict on the reference in the same scenario; None if it was not run
-    )
+    # severity of the failure; None if there is none, or if nothing measures it
+    severity: Severity | None = None
+    # verdict on the reference in the same scenario; None if it was not run
+    reference: Verdict | None = None
 
     @property
     def failed(self) -> bool:

@@ -24,9 +24,8 @@ Stretch = tuple[float, float]
 Kind = Literal["crossing", "oncoming", "merging"]
 # The direction from which a vehicle comes, as seen by the ego when it approaches the zone.
 Origin = Literal["left", "right", "ahead", "behind"]
-Holder = Literal[
-    "ego", "npc", "none"
-]  # the vehicle that has priority in a zone: the ego, the NPC or neither
+# the vehicle that has priority in a zone: the ego, the NPC or neither
+Holder = Literal["ego", "npc", "none"]
 
 EGOS = ""  # the name of the ego's path; the names of other paths contain ``>``
 NOT_ON_WAY = 0.5  # the angle to the ego's path above which a vehicle is not on it [rad]
@@ -121,7 +120,8 @@ class Way:
     """A path for NPCs that meets the ego's path."""
 
     zone: Zone  # the first zone in which the two paths meet
-    speeds: FloatArray  # the highest speeds that limits and curves allow, every half metre from the entry [m/s]
+    # the highest speeds that limits and curves allow, every half metre from the entry [m/s]
+    speeds: FloatArray
     sharpest: float = 0.0  # largest curvature [1/m]
 
     @property
@@ -296,7 +296,8 @@ class Crossings:
         # longer for each part of the lane, so the gap in time is smallest at one of the ends.
         starts = self.start(first), self.start(second) - farther
         if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:
-            return True  # the times do not show this if an NPC waits at its line and the other starts after the line
+            # the times do not show this if an NPC waits at its line and the other starts after the line
+            return True
         since = max(lane[0], *starts)
         order = set()
         for place in (since, max(since, lane[1])):

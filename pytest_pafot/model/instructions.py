@@ -241,9 +241,8 @@ SPEED_STEPS_PER_MPS = 10
 # The highest speed that a scenario can give to a vehicle [m/s]. Each world has a much lower limit.
 MAX_SPEED = 1000.0
 
-CODES_PER_TARGET = (
-    10_000  # the distance between the codes of two targets, which is more than any speed
-)
+# the distance between the codes of two targets, which is more than any speed
+CODES_PER_TARGET = 10_000
 
 
 class ScenarioError(FieldError):
@@ -442,9 +441,8 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
         raise ScenarioError(
             field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value)
         )
-    steps = round(
-        max(speed, 0.0) * SPEED_STEPS_PER_MPS
-    )  # a value far below 0 would overflow when multiplied by 10
+    # a value far below 0 would overflow when multiplied by 10
+    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         nearest = max(steps, least_steps) / SPEED_STEPS_PER_MPS  # `least_steps` is valid
         expected, fix = (

@@ -109,9 +109,8 @@ class Scenario(_Hashed):
         speed = checked_number(
             self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError
         )
-        object.__setattr__(
-            self, "ego_speed", speed + 0.0
-        )  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+        # -0.0 becomes 0.0, so that equal scenarios have equal texts
+        object.__setattr__(self, "ego_speed", speed + 0.0)
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         seconds = checked_number(
             self.gene_seconds,
@@ -212,9 +211,8 @@ class Scenario(_Hashed):
     @property
     def _beside_chains(self) -> list[Any]:
         traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic]
-        vehicles = (
-            [[each.plain() for each in self.vehicles]] if self.vehicles else []
-        )  # the only list here
+        # the only list here
+        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []
         return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
 
     @property

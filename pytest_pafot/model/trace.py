@@ -268,9 +268,8 @@ class RoadOfRun:
         (cos, sin), lanes = self._cos_sin, self.column(LANE).astype(np.intp)
         centres = np.array([lane.y * cos - lane.x * sin for lane in self._lanes])
         offset, off = self._across - centres[lanes], lanes < 0
-        if (
-            off.any()
-        ):  # off the road, positions are measured as if there were one more lane on either side
+        # off the road, positions are measured as if there were one more lane on either side
+        if off.any():
             width = self._lanes[0].width
             beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
             apart = self._across[off, None] - beside
@@ -408,9 +407,8 @@ class Trace:
     collision: Collision | None = None  # only with the outcome COLLISION
     error: AdsError | None = None  # only with the outcomes ADS_ERROR and HANG
     actions: tuple[Any, ...] = ()
-    decided: tuple[
-        int, ...
-    ] = ()  # for example because a wrapper repeats actions; see decision_ticks
+    # for example because a wrapper repeats actions; see decision_ticks
+    decided: tuple[int, ...] = ()
     arrivals: tuple[tuple[int | None, ...], ...] = ()
     off_road_tick: int | None = None
     max_decision_seconds: float = field(default=0.0, compare=False)
@@ -421,9 +419,8 @@ class Trace:
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
     ego_vehicle: VehicleType = CAR
-    ended: str = (
-        ""  # such as `GoalEnv._is_terminated`; if the run is invalid, with the error raised there
-    )
+    # such as `GoalEnv._is_terminated`; if the run is invalid, with the error raised there
+    ended: str = ""
 
     @property
     def users_error_text(self) -> str:
@@ -589,8 +586,7 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
     if within is not None or not first.actions:
         return what
     made = sum(each < tick for each in first.decision_ticks)
-    with np.printoptions(
-        floatmode="unique", threshold=sys.maxsize
-    ):  # actions of any type, to the last bit
+    # actions of any type, to the last bit
+    with np.printoptions(floatmode="unique", threshold=sys.maxsize):
         one_made, other_made = (repr(each.actions[:made]) for each in (first, again))
     return f"{what}; {SURVIVES if one_made == other_made else 'the policy had decided differently'}"

@@ -75,7 +75,8 @@ class Check:
 
     name: str
     value: float  # the worst value of the run [unit]; NaN fails
-    margin: float  # distance of the value from the bound, divided by the scale; negative if the bound is broken
+    # distance of the value from the bound, divided by the scale; negative if the bound is broken
+    margin: float
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -359,13 +360,11 @@ class Run:
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            __tracebackhide__ = (
-                True  # pytest then shows the line of the test function as the last one
-            )
+            # pytest then shows the line of the test function as the last one
+            __tracebackhide__ = True
             if hasattr(type(self), name):
-                return object.__getattribute__(
-                    self, name
-                )  # raises the AttributeError from inside a property again
+                # raises the AttributeError from inside a property again
+                return object.__getattribute__(self, name)
             known = [each for each in dir(self) if not each.startswith("_")]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f"Did you mean `run.{near[0]}`?" if near else f"It has {', '.join(known)}"
@@ -668,9 +667,8 @@ class Run:
         values = np.where(np.isnan(measure), np.inf, measure)
         if values.size == 0 or not np.isfinite(values.min()):
             return None
-        tick, npc = divmod(
-            int(values.argmin()), values.shape[1]
-        )  # of equal values, the first tick and NPC
+        # of equal values, the first tick and NPC
+        tick, npc = divmod(int(values.argmin()), values.shape[1])
         cell = criticality.Encounters(self.trace).last_cell(npc, tick)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
@@ -858,9 +856,8 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     speeds = trace.states[min(first, trace.ticks) : last + 1, npc + 1, SPEED]
     nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
     end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
-    if (
-        abs(nearest - instruction.speed) > NEAR_SPEED
-    ):  # the NPC reached the position, but not the speed
+    # the NPC reached the position, but not the speed
+    if abs(nearest - instruction.speed) > NEAR_SPEED:
         how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
         end = f"in place from {at}, {how}" if reached.endswith("at ") else f"in place {at}"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

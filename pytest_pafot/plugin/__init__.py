@@ -106,9 +106,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
-    if (
-        is_parallel
-    ):  # last, so that it merges the data of ended workers before the reports are written
+    # last, so that it merges the data of ended workers before the reports are written
+    if is_parallel:
         from pytest_pafot.plugin.distributed import Controller  # noqa: PLC0415
 
         _register(config, {"controller": Controller()})
@@ -137,7 +136,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if is_marked or any(inventory):
         _report(config)
     if not is_marked or config.getoption("collectonly"):
-        return  # these plugins import the simulation, which would slow down an editor that only lists tests
+        # these plugins import the simulation, which would slow down an editor that only lists tests
+        return
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
     from pytest_pafot.plugin.messages import Failures  # noqa: PLC0415
 
@@ -227,14 +227,12 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
         if end:
             pytest.fail(end, pytrace=False)
         failure = ads_failure(run)
-        if (
-            failure is not None
-        ):  # Such a run is short, and would pass most assertions that something did not happen.
+        # Such a run is short, and would pass most assertions that something did not happen.
+        if failure is not None:
             pytest.fail(ads_text(failure), pytrace=False)
         hypothesis = sys.modules.get("hypothesis")
-        is_generated = (
-            hypothesis is not None and hypothesis.currently_in_test_context()
-        )  # one of many scenarios
+        # one of many scenarios
+        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()
         if run.outcome is Outcome.INVALID and not is_generated:
             why = run.trace.users_error_text or "two NPCs collided, or an NPC hit a fixed object"
             what = "environment" if run.trace.ended else "scenario"

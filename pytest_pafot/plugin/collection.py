@@ -44,9 +44,8 @@ ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 RUN = "run"  # the parameter of the test function that receives the run
-MARKED: WeakKeyDictionary[ModuleType, list[Any]] = (
-    WeakKeyDictionary()
-)  # the marked functions and classes, by module
+# the marked functions and classes, by module
+MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()
 REPEAT = "repeat="  # comes before the number of a repetition in the name of an item
 POSITIONAL = "<positional>"  # the key of positional arguments, which the item reports as an error
 
@@ -71,9 +70,8 @@ def search(*target: Any, **arguments: Any) -> Any:
 
 def _may_be_decorated(target: object) -> bool:
     if inspect.isclass(target):
-        kinematics = sys.modules.get(
-            "highway_env.vehicle.kinematics"
-        )  # if not imported, there is no vehicle class
+        # if not imported, there is no vehicle class
+        kinematics = sys.modules.get("highway_env.vehicle.kinematics")
         is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
         return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
@@ -208,9 +206,8 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
     paths = [
         path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]
     ]
-    files = [
-        path.parent.resolve() / path.name for path in paths
-    ]  # not resolved: a link has its own item
+    # not resolved: a link has its own item
+    files = [path.parent.resolve() / path.name for path in paths]
     modules = dict.fromkeys(_module_of(file, config) for file in files)
     added = [
         module
@@ -228,9 +225,8 @@ class Collection:
         self._config = config
         self._rootpath = config.rootpath
         call, is_given = call_of(config), config.args_source is pytest.Config.ArgsSource.ARGS
-        is_listed = any(
-            arg.startswith("@") for arg in call
-        )  # pytest has replaced it with the arguments in that file
+        # pytest has replaced it with the arguments in that file
+        is_listed = any(arg.startswith("@") for arg in call)
         config.stash[GIVEN] = [
             arg for arg in config.args if is_given and (is_listed or arg in call)
         ]
@@ -239,9 +235,8 @@ class Collection:
             config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR
             and here != config.rootpath
         ):
-            config.stash[GIVEN] = [
-                str(here)
-            ]  # pytest collects only the folder in which it was called
+            # pytest collects only the folder in which it was called
+            config.stash[GIVEN] = [str(here)]
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
@@ -343,7 +338,9 @@ class Collection:
         saved = None if folder is None else self._saved.get(folder, {}).get(mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         if saved is None or (frozen is not None and item.nodeid not in frozen):
-            return False  # a new file is dropped, since pytest-xdist ends a session whose workers differ in their items
+            # a new file is dropped, since pytest-xdist ends a session whose workers differ in their
+            # items
+            return False
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):

@@ -56,9 +56,8 @@ UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 # Matches only a node id, because the match is printed, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
-_BY_NAME = re.compile(
-    r"-[lqsvx]*[km]|--deselect"
-)  # arguments that deselect tests by name; -qk is -q and -k
+# arguments that deselect tests by name; -qk is -q and -k
+_BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")
 _FOREIGN = {
     FOUND,
     ".git",
@@ -115,9 +114,8 @@ class Guard:
         if report.failed or "pafot" in properties:
             self._run.add(str(properties.get("pafot_file", "")))
 
-    @pytest.hookimpl(
-        wrapper=True, trylast=True
-    )  # inside the hook in which pytest ends the line of its results
+    # inside the hook in which pytest ends the line of its results
+    @pytest.hookimpl(wrapper=True, trylast=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail a session with lost tests, after all items have run and all pytest-xdist workers have reported."""
         result = yield
@@ -210,9 +208,8 @@ class Guard:
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
-        known = self._run | {
-            each.path for each in self._session.seen.values() if each.observed.new
-        }  # reported later
+        # reported later
+        known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}
         known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
         asked = [
@@ -319,9 +316,8 @@ def _files_below(
                     queue.append((path, is_below))
             elif is_inside or "pafot" in name.lower():
                 file = Path(path)
-                if not is_folder(
-                    file
-                ):  # A corpus may be an archive, or a link that git wrote as a text file.
+                # A corpus may be an archive, or a link that git wrote as a text file.
+                if not is_folder(file):
                     yield file, is_inside or name.partition(".")[0] == CORPUS
                 elif name == CORPUS and file != corpus and not is_inside_project(file, top):
                     problems.append(refusal(file))

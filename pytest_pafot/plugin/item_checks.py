@@ -250,7 +250,8 @@ class Execution:
 STATUS = pytest.ExitCode.INTERRUPTED
 """The exit status of a session that ended because the policy hung."""
 
-FLUSH = 120.0  # the maximum time for the summary, because plugins may wait for something that the policy holds [s]
+# the maximum time for the summary, because plugins may wait for something that the policy holds [s]
+FLUSH = 120.0
 SHOWN = 6  # the number of innermost frames that are printed
 
 

@@ -66,9 +66,8 @@ def send_seen(
     sentences: tuple[str, ...] = ()
     if seen.headline and seen.run is not None:
         sentences = sentences_of(seen.run, seen.finding.expect)
-        if (
-            sentences and check is not None
-        ):  # The sentences are about the collision, not about the check.
+        # The sentences are about the collision, not about the check.
+        if sentences and check is not None:
             sentences = (f"{ALSO} {collision_in_short(seen.run)}.",)
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     # The view of the page is large, so it is created only if a page was requested.
@@ -94,9 +93,8 @@ class OfOneRun:
     """The properties that a test records with ``record_property`` in one run."""
 
     properties: Properties  # of the item
-    _shown: list[tuple[str, Any]] = field(
-        default_factory=list
-    )  # from the last call, also in `properties`
+    # from the last call, also in `properties`
+    _shown: list[tuple[str, Any]] = field(default_factory=list)
     # by trace, because a run may be replaced by one with the same trace and more facts
     _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(
         default_factory=WeakKeyDictionary
@@ -119,9 +117,8 @@ class OfOneRun:
         """
         changed = self.properties if properties is None else properties
         shown = [] if run is None else self._recorded.get(run.trace, [])
-        ours = set(
-            map(id, self._shown)
-        )  # by identity, because a fixture may have recorded an equal one before
+        # by identity, because a fixture may have recorded an equal one before
+        ours = set(map(id, self._shown))
         changed[:] = [*(each for each in changed if id(each) not in ours), *shown]
         if properties is None:
             self._shown = shown
@@ -180,20 +177,18 @@ class KeptOutput:
 
     def __init__(self, item: pytest.Item) -> None:
         self._item = item
-        self._capture = item.config.pluginmanager.get_plugin(
-            "capturemanager"
-        )  # None if another plugin replaces it
+        # None if another plugin replaces it
+        self._capture = item.config.pluginmanager.get_plugin("capturemanager")
         self._process = getpid()
         # pytest keeps the output of each item until the session ends, and a policy that prints at each decision prints
         # gigabytes. So only the start and the end are kept.
-        self._texts = {
-            "stdout": ("", "", 0),
-            "stderr": ("", "", 0),
-        }  # start, end, characters between them
+        # start, end, characters between them
+        self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}
 
     def read(self) -> None:
         if self._capture is None or getpid() != self._process:
-            return  # This process was forked. The original process reads the file, to which both write.
+            # This process was forked. The original process reads the file, to which both write.
+            return
         for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
             begin, end, left_out = self._texts[key]
             begin, end = (
@@ -240,13 +235,10 @@ class Failures:
                 _shorten_output(report)
             return report
         # A search may find dozens of failures, and pytest prints each several times. With -v, frames are complete.
-        option, is_brief = (
-            item.config.option,
-            item.config.get_verbosity() <= 0,
-        )  # the saved file has the rest
-        style = getattr(
-            option, "tbstyle", None
-        )  # declared by pytest's terminal plugin, which may be off
+        # the saved file has the rest
+        option, is_brief = item.config.option, item.config.get_verbosity() <= 0
+        # declared by pytest's terminal plugin, which may be off
+        style = getattr(option, "tbstyle", None)
         if is_brief and call.when == "call" and style == "auto":
             option.tbstyle = "short"
         try:

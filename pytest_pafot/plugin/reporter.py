@@ -159,9 +159,8 @@ class LiveTerminal:
         """True if the progress line can be overwritten."""
         if self.writer is None or self.is_parallel:
             return False
-        is_terminal = (
-            self.writer.isatty
-        )  # an attribute in earlier versions of pytest, a method in later versions
+        # an attribute in earlier versions of pytest, a method in later versions
+        is_terminal = self.writer.isatty
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
@@ -190,9 +189,8 @@ class LiveTerminal:
             return
         with uncaptured(self._config):
             self.writer.ensure_newline()
-            if (
-                self._config.get_terminal_writer().width_of_current_line
-            ):  # pytest-xdist leaves the line of dots open
+            # pytest-xdist leaves the line of dots open
+            if self._config.get_terminal_writer().width_of_current_line:
                 self.writer.line("")
             for line in lines:
                 self.writer.write_line(ascii_text(line))
@@ -251,9 +249,8 @@ class Reporter:
         )
         option, is_whole = self._config.option, self._config.get_verbosity() > 0
         if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
-            report.__dict__["_pdbshown"] = (
-                True  # pytest's mark for a failure that needs no text at the end
-            )
+            # pytest's mark for a failure that needs no text at the end
+            report.__dict__["_pdbshown"] = True
         if seen is None or not seen.headline:
             return
         crash: Any = getattr(report.longrepr, "reprcrash", None)
@@ -288,9 +285,8 @@ class Reporter:
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         node_id, record, when = report.nodeid, self._record, str(report.when)
-        if (
-            when == "???"
-        ):  # pytest-xdist: the worker died, so the item has no result and sends no events
+        # pytest-xdist: the worker died, so the item has no result and sends no events
+        if when == "???":
             record.reasons.setdefault(node_id, str(report.longrepr))
             return
         if SEARCH_MARK not in report.keywords:

@@ -113,9 +113,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     against = request.settings.against
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
-    if (
-        link is None and folder not in tidied
-    ):  # once per session: listing thousands of files takes as long as a replay
+    # once per session: listing thousands of files takes as long as a replay
+    if link is None and folder not in tidied:
         tidied.add(folder)
         remove_unfinished(folder)
     # A search that saves nothing may read through a link.
@@ -321,9 +320,8 @@ class SearchMessages:
 
     item: pytest.Function
     settings: Settings
-    sent: dict[str, Seen] = field(
-        default_factory=dict
-    )  # the findings so far, by id, as they were last sent
+    # the findings so far, by id, as they were last sent
+    sent: dict[str, Seen] = field(default_factory=dict)
 
     def send(self, event: SearchEvent) -> None:
         if isinstance(event, SearchStarted):
@@ -336,9 +334,8 @@ class SearchMessages:
                 self.item,
                 Search(node_id=node_id, seed=event.seed, base_seed=base_seed, asked=asked),
             )
-        elif isinstance(
-            event, GenerationFinished
-        ):  # its runs may have been evaluated in other processes
+        # its runs may have been evaluated in other processes
+        elif isinstance(event, GenerationFinished):
             self.item.stash[OUTPUT].read()
         elif isinstance(event, Seen):
             self._send_finding(event)

@@ -57,9 +57,8 @@ def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
     Raises:
         RequestError: if a value is invalid. The message names its source.
     """
-    for (
-        option
-    ) in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
+    # A wrong argument is an error even if the command line replaces it today.
+    for option in OPTIONS:
         if option.is_argument:
             _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
     values = {
@@ -274,9 +273,8 @@ def guard_exits(config: pytest.Config) -> None:
                         f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
                     )
                     print(f"\n{note}\n  {caller}", flush=True)
-            if (
-                name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0
-            ):  # os.abort has no status
+            # os.abort has no status
+            if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:
                 own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
         own[name](*given, **named)
 

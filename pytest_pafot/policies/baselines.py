@@ -48,9 +48,8 @@ TRAINING_PARAMETERS = {
 }
 
 
-MOST_LOADED_MODELS = (
-    8  # models that stay loaded in a process, so that each run gets its ADS without a delay
-)
+# models that stay loaded in a process, so that each run gets its ADS without a delay
+MOST_LOADED_MODELS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,9 +79,8 @@ class Sb3Policy:
             return ""
 
     def preload(self) -> None:
-        _ = (
-            self.loaded
-        )  # forked processes inherit the model and its libraries, which take seconds to load
+        # forked processes inherit the model and its libraries, which take seconds to load
+        _ = self.loaded
 
     @functools.cached_property
     def loaded(self) -> BaselineModel:
@@ -158,9 +156,8 @@ def _loaded(policy: Sb3Policy, changed_at: tuple[int, ...]) -> BaselineModel:
 def _changed_at(file: Path) -> int:
     try:
         with file.open("rb") as opened:
-            return os.fstat(
-                opened.fileno()
-            ).st_mtime_ns  # opening it also shows whether it can be read
+            # opening it also shows whether it can be read
+            return os.fstat(opened.fileno()).st_mtime_ns
     except OSError as error:
         raise refused(
             "a file that can be read", f"{file} ({error.strerror})", "correct the path"
@@ -306,9 +303,8 @@ def _missing_statistics(file: Path) -> str:
 
 def _is_statistics(file: Path) -> bool:
     with file.open("rb") as opened:
-        return b"vec_normalize" in opened.read(
-            200
-        )  # the class name at the start; nothing is unpickled
+        # the class name at the start; nothing is unpickled
+        return b"vec_normalize" in opened.read(200)
 
 
 def _library(name: str) -> Any:

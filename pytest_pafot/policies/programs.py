@@ -37,12 +37,12 @@ SENT_ATTRIBUTES = (
 )
 
 LONGEST_LINE = 1 << 20  # the longest line that a program may write [bytes]
-STDERR_IN_ERROR = (
-    2000  # length of the end of stderr in the error of a program that has ended [bytes]
-)
+# length of the end of stderr in the error of a program that has ended [bytes]
+STDERR_IN_ERROR = 2000
 STDERR_PRINTED = 4000  # number of bytes from each end of a run's stderr that the session prints
 GRACE = 1.0  # time for a program to end on its own after its input was closed [s]
-SLICE = 0.2  # longest wait without a check of the time [s], for systems on which the hang limit cannot send a signal
+# longest wait without a check of the time [s], for systems on which the hang limit cannot send a signal
+SLICE = 0.2
 CHUNK = 1 << 16  # largest number of bytes to read from a pipe in one call
 
 
@@ -90,7 +90,8 @@ class ProgramLoader:
 
 @functools.cache
 def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
-    return []  # one list per process, because a forked process must not use the programs of its parent
+    # one list per process, because a forked process must not use the programs of its parent
+    return []
 
 
 def _idle(loader: ProgramLoader) -> list[Program]:
@@ -127,9 +128,8 @@ class ProgramAds:
         try:
             sys.stderr.write(self._program.new_output())
         finally:
-            if (
-                self._is_waiting
-            ):  # its late response would be mistaken for a response in the next run
+            # its late response would be mistaken for a response in the next run
+            if self._is_waiting:
                 self._program.kill()
             if self._loader.keep and not self._is_waiting:
                 _idle(self._loader).append(self._program)
@@ -161,9 +161,8 @@ def action_of(line: bytes) -> Any:
     """
     answer = None
     # The messages are part of the signatures of saved findings. With other words, known failures would become new ones.
-    with suppress(
-        ValueError, RecursionError
-    ):  # not JSON, not text, 5000 digits, or 100,000 brackets
+    # not JSON, not text, 5000 digits, or 100,000 brackets
+    with suppress(ValueError, RecursionError):
         answer = json.loads(line, object_pairs_hook=_without_repetition)
     # An echoed observation also has the keys acceleration and steering, so this check must be first.
     if isinstance(answer, dict) and "reset" in answer:
@@ -287,7 +286,8 @@ class Program:
         elif _has_ended(self._process, 0.0) and self._from not in {
             descriptor for descriptor, _ in pipes.poll(0)
         }:
-            self._raise_ended()  # although a process that the program has started may keep the pipe open
+            # although a process that the program has started may keep the pipe open
+            self._raise_ended()
         return False
 
     def _read(self) -> None:
@@ -306,9 +306,8 @@ class Program:
         if not part:
             self._sources.remove(self._errors)
         self._stderr += part
-        middle = max(
-            0, len(self._stderr) - 2 * STDERR_PRINTED
-        )  # only the start and the end are stored, to save memory
+        # only the start and the end are stored, to save memory
+        middle = max(0, len(self._stderr) - 2 * STDERR_PRINTED)
         del self._stderr[STDERR_PRINTED : STDERR_PRINTED + middle]
         self._omitted += middle
 
@@ -333,9 +332,8 @@ class Program:
         raise error
 
     def _read_rest(self) -> None:
-        for _ in range(
-            LONGEST_LINE // CHUNK
-        ):  # a limit, because a program may write faster than this reads
+        # a limit, because a program may write faster than this reads
+        for _ in range(LONGEST_LINE // CHUNK):
             pipe = select.poll()
             pipe.register(self._errors, select.POLLIN)
             if self._errors not in self._sources or not pipe.poll(0):
@@ -376,9 +374,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    with suppress(
-        ProcessLookupError, PermissionError
-    ):  # no process is left, or it runs as a different user
+    # no process is left, or it runs as a different user
+    with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
 
 

@@ -283,9 +283,8 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
     )
     views, more = [_shown(each, session) for each in found[:WHOLE]], found[WHOLE:]
     tests = [each.test for each in views]
-    views.sort(
-        key=lambda each: tests.index(each.test)
-    )  # grouped by test, the test with the worst finding first
+    # grouped by test, the test with the worst finding first
+    views.sort(key=lambda each: tests.index(each.test))
     # A failure needs an article only if no finding explains it. Searches also fail because of their findings.
     shown = {
         *session.views,

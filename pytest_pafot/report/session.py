@@ -46,18 +46,16 @@ class Session:
         self.seen: dict[str, Seen] = {}
         self.items: dict[str, str] = {}
         self.views: dict[str, bytes] = {}
-        self.unread: dict[
-            str, Mapping[str, str]
-        ] = {}  # saved scenarios that could not be read or run
+        # saved scenarios that could not be read or run
+        self.unread: dict[str, Mapping[str, str]] = {}
         # For each node id of an item: the search, in the order in which searches started or ended, the result, and the
         # first line of its failure. For each node id and phase: pytest's full text of the failure.
         self.searches: dict[str, Search] = {}
         self.results: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.failures: dict[tuple[str, str], str] = {}
-        self.incomparable: dict[
-            str, None
-        ] = {}  # items with a policy that could not be compared with its reference
+        # items with a policy that could not be compared with its reference
+        self.incomparable: dict[str, None] = {}
         self.unnamed: list[str] = []  # marked tests that pytest did not collect
         # Saved scenarios that the session did not replay, and those for which it fails.
         self.left: list[str] = []

@@ -175,9 +175,8 @@ def block_lines(
         finding.expect,
         next(iter(text.splitlines()), "").removeprefix("AssertionError: "),
     )
-    if (
-        expect.is_crash and text and seen.is_as_saved
-    ):  # A replay can fail in a different way than its file.
+    # A replay can fail in a different way than its file.
+    if expect.is_crash and text and seen.is_as_saved:
         first, place = (
             f"{capitalised(' '.join(text.removeprefix('Failed: ').split())).removesuffix('.')}.",
             "",
@@ -312,10 +311,8 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     )
     first = f"{kinds['failed'] or 'none'} of {plural(search.runs, 'run')} failed"
     evaluated = search.runs - sum(kinds[kind] for kind in UNTESTED)
-    if drawn and (drawn, failing) == (
-        evaluated,
-        kinds["failed"],
-    ):  # All scenarios were drawn at random.
+    # All scenarios were drawn at random.
+    if drawn and (drawn, failing) == (evaluated, kinds["failed"]):
         first, share = (
             f"{failing or 'none'} of {plural(drawn, 'random scenario')} failed: {share}",
             "",
@@ -454,9 +451,8 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
 def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
     """Return the summary of a session as lines, or no lines if there is nothing to report."""
     lines, drawn = list[str](), set[str]()
-    for search in (
-        session.ended
-    ):  # Describe a range of scenarios only once, even if several searches share it.
+    # Describe a range of scenarios only once, even if several searches share it.
+    for search in session.ended:
         new = replace(search, drawn="") if search.drawn in drawn else search
         lines += search_lines(new, width=width, is_whole=is_whole)
         drawn.add(search.drawn)
@@ -488,9 +484,8 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     ):
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
-    return list(
-        map(ascii_text, lines)
-    )  # escapes names and messages, so that each stays on one line
+    # escapes names and messages, so that each stays on one line
+    return list(map(ascii_text, lines))
 
 
 def where_to_see_more(page: str) -> tuple[str, str]:

@@ -44,12 +44,10 @@ class Bench:
     clock: Callable[[], float] = monotonic  # returns the time [s]
     decisions_beside: int = 0  # number of decisions of the ADS that did not affect a run
     refining_end: float = math.inf  # the time at which work on findings must end [s]
-    refining_most: float = (
-        math.inf
-    )  # the largest number of decisions that work on findings can request
-    asked: int = (
-        0  # the number of decisions that it has requested; the same for any number of processes
-    )
+    # the largest number of decisions that work on findings can request
+    refining_most: float = math.inf
+    # the number of decisions that it has requested; the same for any number of processes
+    asked: int = 0
     is_at_limit: bool = False  # True if this number has reached its limit
     confirm_decisions: int = 0  # the number of decisions of the ADS to confirm findings
     confirm_seconds: float = 0.0  # the time to confirm findings [s]
@@ -76,9 +74,8 @@ class Bench:
             if made is None or isinstance(made, ProcessLostError):
                 return made
             result: Result = made if isinstance(made, Result) else self.examiner(made, state.known)
-            if (
-                result.kind == "failed" and self.reference is not None
-            ):  # count only what the reference passes
+            # count only what the reference passes
+            if result.kind == "failed" and self.reference is not None:
                 result = result.beside(
                     self.harness.judge_reference(self.reference, result.evaluation.scenario)
                 )

@@ -32,9 +32,8 @@ class Progress:
     finds: int  # distinct new findings
     seconds: float  # since the search started
     budget: int | None = None  # requested runs
-    left: float = (
-        0.0  # the estimated time of the remaining runs, without confirmations [s]; 0 if unknown
-    )
+    # the estimated time of the remaining runs, without confirmations [s]; 0 if unknown
+    left: float = 0.0
     decision_seconds: float = 0.0  # the mean time of a decision [s]; 0 if unknown
     is_limited: bool = False  # whether the search has a time limit
     phase: str = ""  # the work after the runs, such as shrinking; empty before it
@@ -49,7 +48,8 @@ KINDS = ("passed", "failed", "npc", "common", *UNTESTED)  # all kinds of verdict
 class Ending(StrEnum):
     """The reason why a search ended."""
 
-    UNKNOWN = ""  # the search did not start, its process died, or a decision of the ADS could not be interrupted
+    # the search did not start, its process died, or a decision of the ADS could not be interrupted
+    UNKNOWN = ""
     GENERATIONS = "all generations done"
     RUNS = "all runs done"
     MAX_TIME = flag("max_time")

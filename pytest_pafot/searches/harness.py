@@ -254,9 +254,8 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 def unit_doubt(trace: Trace) -> str:
     """Return a hint if a planner's actions seem not to be in SI units, or an empty string."""
     steering = speed = acceleration = 0.0
-    for (
-        action
-    ) in trace.actions:  # one loop without calls, which is fast, because each run is checked
+    # one loop without calls, which is fast, because each run is checked
+    for action in trace.actions:
         if type(action) is tuple and len(action) == 2:
             wanted, angle = action
             steering = abs(angle) if not -steering <= angle <= steering else steering
@@ -392,16 +391,14 @@ class Harness:
     test: Test
     test_file: str
     node_id: str  # the node id of the test, without the part that the plugin adds
-    saved_node_id: Callable[
-        [str], str
-    ]  # returns the node id of the item for the id of a saved scenario
+    # returns the node id of the item for the id of a saved scenario
+    saved_node_id: Callable[[str], str]
     folder: Path  # the folder of the test's saved scenarios
     records: Path  # the folder of crash records
     root: Path  # the folder of the project; paths in messages are relative to it
     versions: dict[str, str]  # versions of the packages that affect a run
-    against: Reference | None = (
-        None  # the reference, which must pass a scenario for a failure to count
-    )
+    # the reference, which must pass a scenario for a failure to count
+    against: Reference | None = None
     cluster: Cluster | None = None  # the workers on other machines that run scenarios, if any
     # True if the run is the only argument of the test function, so that forked processes can call it, too
     needs_only_run: bool = False
@@ -476,9 +473,8 @@ class Harness:
             with job.crash_record() as record:
                 yield record
         finally:
-            with suppress(
-                OSError
-            ):  # The folder has records of other processes, or was never created.
+            # The folder has records of other processes, or was never created.
+            with suppress(OSError):
                 self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
@@ -528,9 +524,7 @@ def is_same_run(a: Run, b: Run) -> bool:
 def begins_alike(run: Run, longer: Run) -> bool:
     """Return whether ``longer`` starts with the same states as ``run``."""
     first, second = run.trace.states, longer.trace.states
-    if len(second) <= len(first) or run.outcome not in (
-        Outcome.COMPLETED,
-        Outcome.OFF_ROAD,
-    ):  # nothing to continue
+    # nothing to continue
+    if len(second) <= len(first) or run.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD):
         return is_same_run(run, longer)
     return first.tobytes() == second[: len(first)].tobytes()

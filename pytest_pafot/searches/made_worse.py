@@ -36,9 +36,8 @@ class MadeWorse:
     bench: Bench
     store: Store
     end: float  # time at which random scenarios must end [s], or infinity
-    paired: Paired = field(
-        default_factory=lambda: Paired(most=PAIRS)
-    )  # counts of the random scenarios
+    # counts of the random scenarios
+    paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))
 
     def compare(self, space: SearchSpace) -> Refining[None]:
         """Run random scenarios with both policies, and dismiss the findings if the new policy is no worse."""

@@ -48,15 +48,12 @@ class Option(NamedTuple):
     least: float = 0  # the smallest accepted number
     most: float = SEED_LIMIT - 1  # the largest accepted whole number
     choices: tuple[str, ...] = ()  # the accepted strings; empty if any string is accepted
-    or_class: bool = (
-        False  # True if a class or function, or its ``module:name``, is accepted as well
-    )
-    everywhere: bool = (
-        True  # False if it applies to a single session, so that only the command line accepts it
-    )
-    is_argument: bool = (
-        True  # False for an option of the whole session, which is not an argument of the mark
-    )
+    # True if a class or function, or its ``module:name``, is accepted as well
+    or_class: bool = False
+    # False if it applies to a single session, so that only the command line accepts it
+    everywhere: bool = True
+    # False for an option of the whole session, which is not an argument of the mark
+    is_argument: bool = True
 
     @property
     def flag(self) -> str:
@@ -261,9 +258,8 @@ class Settings:
 
     def __init__(self, **given: Any) -> None:
         for name, value in ({each.name: each.default for each in fields(self)} | given).items():
-            object.__setattr__(
-                self, name, value
-            )  # raises an error for an unknown name, which has no slot
+            # raises an error for an unknown name, which has no slot
+            object.__setattr__(self, name, value)
 
     @property
     def is_search(self) -> bool:

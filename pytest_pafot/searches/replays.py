@@ -80,14 +80,14 @@ class Replays:
     """The replays of one test's saved scenarios."""
 
     harness: Harness
-    today: date | None = (
-        None  # the day on which acceptances must be valid; None if no failure is accepted
-    )
+    # the day on which acceptances must be valid; None if no failure is accepted
+    today: date | None = None
 
     def shown_by(self, saved: Iterable[Saved]) -> tuple[dict[Signature, str], Accepted]:
         """Replay saved scenarios, and return the known failures and accepted speeds."""
         known: dict[Signature, str] = {}  # the id of the first file that shows each failure
-        accepted: Accepted = {}  # infinite speeds for files that are not accepted, because their items fail
+        # infinite speeds for files that are not accepted, because their items fail
+        accepted: Accepted = {}
 
         def cover(signature: Signature, id_: str, most: float) -> None:
             known.setdefault(signature, id_)
@@ -228,10 +228,8 @@ class Replays:
                     judged = harness.judge(probe)
                     if judged.kind not in UNJUDGED and cause_of(probe, judged) != cause:
                         return
-        except (
-            RequestError,
-            ProcessLostError,
-        ):  # It is not the error of the replay. The search reports it.
+        # It is not the error of the replay. The search reports it.
+        except (RequestError, ProcessLostError):
             return
         raise SetupFaultError(
             run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True
@@ -298,7 +296,8 @@ class Replays:
                 probe = harness.judge_reference(runner, sample(space, rng_of(number)), world)
                 if probe.failure is None or probe.failure.kind != failure.kind or not probe.is_ads:
                     return
-        except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.
+        # The arguments of the test do not fit the world of the file, so nothing can be compared.
+        except RequestError:
             return
         raise AgainstError(
             f"against ({harness.against_name}): the reference failed with {failure.kind}: {failure.message} in this "
@@ -478,9 +477,8 @@ class Replays:
         return [f"{name} {now.get(name, 'none')} instead of {then[name]}" for name in other]
 
     def world_changes(self, finding: Finding) -> list[str]:
-        own = (
-            self.harness.world
-        )  # its runs may be shorter than in the file, even if nothing else differs
+        # its runs may be shorter than in the file, even if nothing else differs
+        own = self.harness.world
         return codec.changes(finding.world, own) or codec.describe_limits(
             finding.world, finding.scenario, own
         )

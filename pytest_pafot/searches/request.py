@@ -47,7 +47,8 @@ MOST_CROSSING = 3
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 # The durations for scenarios with Lane-Instructions [s]: a lane change takes about 3 s, a move to a cell 5 to 10 s.
 SLICES = (2.0, 3.0, 4.0)
-SLICE = 3.0  # the duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]
+# the duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]
+SLICE = 3.0
 # The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower.
 SLOWEST_START = 12.0
 Blame = Literal["any", "ego"]
@@ -104,9 +105,8 @@ class Request:
     blame: str = "any"
     fitness: str | Fitness = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
-    space: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # arguments of the mark for a SearchSpace
+    # arguments of the mark for a SearchSpace
+    space: Mapping[str, Any] = field(default_factory=dict)
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
@@ -170,9 +170,8 @@ def checked_request(
             "failures except collisions for which only an NPC is at fault",
         )
     for name in BUDGETS:
-        if (
-            arguments.get(name) is not None and int(arguments[name]) == 0
-        ):  # or "0"; the search would always pass
+        # or "0"; the search would always pass
+        if arguments.get(name) is not None and int(arguments[name]) == 0:
             problem = f"expected at least 1, because 0 {name} test nothing. To only replay, use {flag('runs', 0)}"
             raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
@@ -262,9 +261,8 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
         # chains.
         space = world.space({**drawn, **request.space})
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
-        sample(
-            space, rng_of(0)
-        )  # so that a wrong argument raises one clear error before the search starts
+        # so that a wrong argument raises one clear error before the search starts
+        sample(space, rng_of(0))
     except WorldError as error:
         raise request.error("world=...", error) from None
     except (TypeError, ValueError) as error:

@@ -40,10 +40,8 @@ Fails = Literal["", "ego", "check", "otherwise"]
 # For each known failure, the highest accepted closing speed [m/s], and the id of the file that accepts it.
 Accepted = dict[Signature, tuple[float, str]]
 
-UNJUDGED = (
-    "npc",
-    "invalid",
-)  # the kinds of verdicts on runs for which the test function was not called
+# the kinds of verdicts on runs for which the test function was not called
+UNJUDGED = ("npc", "invalid")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,9 +104,8 @@ class Examiner:
     seed: int  # seed of the search
     # Returns the columns of a run table, as the note of an evaluation; None without a table.
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
-    accepted: Accepted = field(
-        default_factory=dict
-    )  # the failures that saved scenarios show or accept
+    # the failures that saved scenarios show or accept
+    accepted: Accepted = field(default_factory=dict)
 
     def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
         # For a known failure, only the signature is returned.
@@ -224,26 +221,22 @@ class Counts:
     # Numbers of runs by kind of verdict. They add up to the number of runs, as do the next two.
     kinds: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)  # numbers of runs by outcome
-    responsibilities: Counter[str] = field(
-        default_factory=Counter
-    )  # numbers of runs by who was responsible, or `none`
+    # numbers of runs by who was responsible, or `none`
+    responsibilities: Counter[str] = field(default_factory=Counter)
     # Numbers of valid runs that were neither rejected nor skipped, by how they failed, see Result.
     fails: Counter[str] = field(default_factory=Counter)
-    failures: dict[Signature, Alike] = field(
-        default_factory=dict
-    )  # the runs with each failure that counts
+    # the runs with each failure that counts
+    failures: dict[Signature, Alike] = field(default_factory=dict)
     # Numbers of runs by the cause of a failure that may be a fault of the set-up.
     causes: Counter[Cause] = field(default_factory=Counter)
     # Numbers of passed runs by the names of checks that failed in them.
     caught: Counter[str] = field(default_factory=Counter)
     decisions: int = 0  # number of decisions of the ADS
-    health: Health = field(
-        default_factory=Health
-    )  # counts that show whether the runs tested anything
+    # counts that show whether the runs tested anything
+    health: Health = field(default_factory=Health)
     doubt: str = ""  # the first doubt in a run, see Result
-    broken: str | None = (
-        None  # the first failure of the reference itself; empty if it did not fail in all its runs
-    )
+    # the first failure of the reference itself; empty if it did not fail in all its runs
+    broken: str | None = None
 
     @property
     def runs(self) -> int:
@@ -297,9 +290,8 @@ class Driver:
     """The function that other processes call to simulate chunks of a random search."""
 
     examiner: Examiner  # evaluates each run
-    drawn: Callable[[int], Scenario] | None = (
-        None  # returns the scenario with a number; None before the search starts
-    )
+    # returns the scenario with a number; None before the search starts
+    drawn: Callable[[int], Scenario] | None = None
 
     def __call__(
         self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]
@@ -341,16 +333,14 @@ class State:
     """The state of a search in progress."""
 
     counts: Counts = field(default_factory=Counts)  # counts of all runs so far
-    fatal: set[Scenario] = field(
-        default_factory=set
-    )  # scenarios in which a process died; they are not run
+    # scenarios in which a process died; they are not run
+    fatal: set[Scenario] = field(default_factory=set)
     is_random: bool = False  # whether all scenarios are random
     space: SearchSpace | None = None  # the space of its scenarios; None if it only replays
     clock: Callable[[], float] = monotonic  # returns the time [s]
     began: float = 0.0  # the time at which this session started [s]
-    shown: Mapping[Signature, str] = field(
-        default_factory=dict
-    )  # ids of saved scenarios by their failure
+    # ids of saved scenarios by their failure
+    shown: Mapping[Signature, str] = field(default_factory=dict)
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     is_set_up: bool = False  # True once the set-up is known to have no fault
     first: Scenario | None = None  # the first scenario that may show a fault of the set-up
@@ -389,9 +379,8 @@ class State:
         """Return the counts for the other runs with a new finding's failure."""
         signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
         kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
-        return replace(
-            kept, runs=kept.runs - 1
-        )  # -1 if only a run to shrink another finding failed in this way
+        # -1 if only a run to shrink another finding failed in this way
+        return replace(kept, runs=kept.runs - 1)
 
     @property
     def failures(self) -> dict[Signature, str]:

@@ -88,9 +88,8 @@ def row_of(event: Evaluated) -> Row:
         "genes": scenario.chains_text,
         "outcome": str(evaluation.outcome),
         "failing": evaluation.failing,
-        "verdict": "failed"
-        if evaluation.failing and not reused
-        else None,  # also if the process died
+        # also if the process died
+        "verdict": "failed" if evaluation.failing and not reused else None,
         "fitness": _finite(evaluation.fitness),
         "duration": evaluation.duration,
         "kind": kind.slug if isinstance(kind, Signature) else None,

@@ -112,9 +112,8 @@ class SavedScenario:
         world = self.world if world is None else codec.checked_world(world)
         try:
             world.check_fits(self.scenario)
-            trace = GENERATORS.run(
-                world.rollout, self.scenario, ads
-            )  # some simulators check the scenario only now
+            # some simulators check the scenario only now
+            trace = GENERATORS.run(world.rollout, self.scenario, ads)
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
         return world.run_of(trace)

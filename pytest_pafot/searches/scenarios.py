@@ -121,25 +121,22 @@ class Numbers:
     bench: Bench
     number: int = 0  # number of the next scenario to be counted
     _given: int = 0  # the first number that is not assigned to another process
-    _results: Iterator[Result | LostRun] = field(
-        default_factory=lambda: iter(())
-    )  # results of runs outside chunks
-    _driven: dict[Chunk, _Driven] = field(
-        default_factory=dict
-    )  # chunks in other processes, in the order of numbers
-    _early: deque[Early] = field(
-        default_factory=deque
-    )  # failures in later chunks, in the order of arrival
-    _alone: int = (
-        0  # the end of the chunk in which a process died; its scenarios are run one by one
-    )
+    # results of runs outside chunks
+    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))
+    # chunks in other processes, in the order of numbers
+    _driven: dict[Chunk, _Driven] = field(default_factory=dict)
+    # failures in later chunks, in the order of arrival
+    _early: deque[Early] = field(default_factory=deque)
+    # the end of the chunk in which a process died; its scenarios are run one by one
+    _alone: int = 0
     _suspect: LostRun | None = None  # that death, until the scenario that caused it is known
 
     def __post_init__(self) -> None:
         if self.bench.driver is not None:
             self.bench.driver.drawn = partial(self.algorithm.drawn, self.seed)
             if isinstance(self.bench.runner, Apart):
-                self.bench.runner.end()  # processes that are already running cannot sample scenarios
+                # processes that are already running cannot sample scenarios
+                self.bench.runner.end()
 
     @property
     def started(self) -> PlanStarted:
@@ -187,9 +184,8 @@ class Numbers:
             self._results = self.bench.results(drawn, state, state.fatal.__contains__)
             result = next(self._results)
         if isinstance(result, ProcessLostError):
-            self._suspect = (
-                None  # The scenario that killed the process of its chunk has done so again.
-            )
+            # The scenario that killed the process of its chunk has done so again.
+            self._suspect = None
         return result
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:

@@ -77,11 +77,11 @@ class SearchResult:
     findings: tuple[Seen, ...]
     count: int  # number of distinct new findings, saved or only counted
     first_exception: BaseException | None  # the exception of the first finding; None without one
-    fault: (
-        BaseException | None
-    )  # a fault of the set-up, as the exception to raise instead of findings
+    # a fault of the set-up, as the exception to raise instead of findings
+    fault: BaseException | None
     skip: BaseException | None  # the last skip, if the test function skipped every run
-    is_vacuous: bool  # True if most runs tested nothing, or if a broken reference prevented every failure from counting
+    # True if most runs tested nothing, or if a broken reference prevented every failure from counting
+    is_vacuous: bool
 
 
 class ListenerError(RuntimeError):
@@ -223,9 +223,8 @@ def prepared(
                 isolate=settings.isolate,
                 cluster=harness.cluster,
             )
-        stack.push(
-            runner.__exit__
-        )  # Runs after the search start new processes, which must be stopped as well.
+        # Runs after the search start new processes, which must be stopped as well.
+        stack.push(runner.__exit__)
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
@@ -279,13 +278,11 @@ class SearchSession:
 
     watch: TimedWatch
     replays: Replays
-    driver_notes: list[str] = field(
-        default_factory=list
-    )  # notes on drivers and slow runs, for the summary
+    # notes on drivers and slow runs, for the summary
+    driver_notes: list[str] = field(default_factory=list)
     process_notes: list[str] = field(default_factory=list)  # notes on processes, for the summary
-    _worse: MadeWorse | None = field(
-        init=False, default=None
-    )  # only for a search with findings and a reference
+    # only for a search with findings and a reference
+    _worse: MadeWorse | None = field(init=False, default=None)
 
     @property
     def state(self) -> State:

@@ -51,18 +51,16 @@ class Store:
     replayed: frozenset[Path] = frozenset()
     findings: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id
     only_counts: bool = False  # True if failures are only counted, and not saved as findings
-    first_exception: BaseException | None = (
-        None  # the exception of the first finding, for a debugger
-    )
-    held: list[str] = field(
-        default_factory=list
-    )  # ids of findings that are saved but not yet reported
-    dismissed: dict[str, str] = field(
-        default_factory=dict
-    )  # headlines of findings that do not count, by id
+    # the exception of the first finding, for a debugger
+    first_exception: BaseException | None = None
+    # ids of findings that are saved but not yet reported
+    held: list[str] = field(default_factory=list)
+    # headlines of findings that do not count, by id
+    dismissed: dict[str, str] = field(default_factory=dict)
     # Failures that arrived before their turn: the file, if any, the result, and the number of the run.
     early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
-    is_holding: bool = True  # False once findings are reported immediately, because they are no fault of the set-up
+    # False once findings are reported immediately, because they are no fault of the set-up
+    is_holding: bool = True
 
     @property
     def count(self) -> int:
@@ -81,9 +79,8 @@ class Store:
         self._forget_early(finding, failed.signature)
         if self.only_counts:
             return finding.id
-        with (
-            postponed()
-        ):  # An interrupt must not separate saving a finding from noting that it is held back.
+        # An interrupt must not separate saving a finding from noting that it is held back.
+        with postponed():
             verdict = Verdict(
                 kind="failed", exception=PlainFailure(failed.text), severity=result.severity
             )
@@ -131,7 +128,8 @@ class Store:
                 if not isinstance(sighting, str):
                     self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
                 counts = Counts.from_result(result, number)
-                counts.fails.clear()  # passing runs before it are not counted, so the failure rate would be too high
+                # passing runs before it are not counted, so the failure rate would be too high
+                counts.fails.clear()
                 yield signature, id_, counts
             elif path is not None:
                 _remove_early(path)
@@ -156,7 +154,8 @@ class Store:
             except OSError:
                 yield from self.publish(sighting)
         if not any(each.path for each in withdrawn):
-            return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
+            # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
+            return
         with suppress(OSError):  # Folders with other content stay.
             self._remove_folders()
 
@@ -165,9 +164,8 @@ class Store:
         no_worse = replace(sighting.observed, new="no worse")
         sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
         if sighting.path:
-            with suppress(
-                OSError
-            ):  # A file that cannot be removed stays, and is reported with its path.
+            # A file that cannot be removed stays, and is reported with its path.
+            with suppress(OSError):
                 self.file_of(sighting).unlink(missing_ok=True)
                 sighting = replace(sighting, path="")
             with suppress(OSError):  # Folders with other content stay.

@@ -177,9 +177,8 @@ class MetaDrive(Simulator):
             npc.set_heading_theta(heading)
             npc.set_velocity((math.cos(heading), math.sin(heading)), speed)
             if self._observation == "vehicle":
-                npc.navigation.update_localization(
-                    npc
-                )  # finds its lane, which MetaDrive's IDM reads
+                # finds its lane, which MetaDrive's IDM reads
+                npc.navigation.update_localization(npc)
 
     def step(self, controls: Sequence[Any]) -> None:
         # Put the NPCs at their positions at the end of the tick.
@@ -202,9 +201,8 @@ class MetaDrive(Simulator):
         )
         pedal = control.acceleration * vehicle.MASS / 4.0 / most
         pedal *= 1.0 if control.acceleration > 0.0 else SUBSTEP
-        return wheels / math.radians(
-            vehicle.max_steering
-        ), pedal or 1e-6  # a pedal of 0 brakes by 0.36 m/s^2
+        # a pedal of 0 brakes by 0.36 m/s^2
+        return wheels / math.radians(vehicle.max_steering), pedal or 1e-6
 
     def observe(self) -> Any:
         if self._observation == "vehicle":

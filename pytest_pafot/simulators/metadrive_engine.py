@@ -74,17 +74,16 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
                 "use_render": False,
                 "image_observation": False,
                 "log_level": logging.ERROR,
-                "force_destroy": True,  # reused vehicles would keep the state of steering and wheels
+                # reused vehicles would keep the state of steering and wheels
+                "force_destroy": True,
                 "sensors": {"lidar": (OrderedLidar,)},
                 "map_config": {"type": "block_sequence", "config": blocks, "lane_num": lanes},
                 "traffic_density": 0.0,
                 "random_spawn_lane_index": False,
                 "num_scenarios": 1,
                 "start_seed": 0,
-                "vehicle_config": {
-                    "vehicle_model": "static_default",
-                    **sensors,
-                },  # the default model has random forces
+                # the default model has random forces
+                "vehicle_config": {"vehicle_model": "static_default", **sensors},
             }
         )
         self._own = Engine(self.config)
@@ -107,7 +106,8 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         self.engine.physics_world.dynamic_world.setGroupCollisionFlag(VEHICLES, VEHICLES, False)
         velocity = (math.cos(heading), math.sin(heading)), speed
         self.agent.set_velocity(*velocity)
-        self.engine.step_physics_world()  # MetaDrive returns positions before the last substep, so there must be one
+        # MetaDrive returns positions before the last substep, so there must be one
+        self.engine.step_physics_world()
         self.agent.set_velocity(*velocity)  # the substep may have changed it
         return self.agent
 

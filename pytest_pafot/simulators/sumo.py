@@ -161,9 +161,8 @@ class Way:
             ) from None
 
         expected = "a SUMO network, as written by netconvert"
-        if not Path(
-            path
-        ).is_file():  # a saved file may name anything, such as a pipe that never ends
+        # a saved file may name anything, such as a pipe that never ends
+        if not Path(path).is_file():
             raise WorldError(
                 field=f"net, {path}",
                 expected=expected,
@@ -297,8 +296,7 @@ def _line(lanes: Sequence[Any]) -> list[tuple[float, float]]:
     points: list[tuple[float, float]] = []
     for lane in lanes:
         for x, y, *_ in lane.getShape():
-            if (
-                not points or math.dist(points[-1], (x, y)) > 0.05
-            ):  # networks are exact to a centimetre
+            # networks are exact to a centimetre
+            if not points or math.dist(points[-1], (x, y)) > 0.05:
                 points.append((x, y))
     return points

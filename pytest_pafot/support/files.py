@@ -34,9 +34,8 @@ def hold(descriptor: int) -> bool:
     try:
         _lock(descriptor)
     except OSError as error:
-        return (
-            error.errno not in _HELD
-        )  # this file system has no locks, so the process id in the name decides
+        # this file system has no locks, so the process id in the name decides
+        return error.errno not in _HELD
     return os.fstat(descriptor).st_nlink > 0
 
 
@@ -63,9 +62,8 @@ def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return not isinstance(
-            error, ProcessLookupError
-        )  # other errors mean that another user owns the process
+        # other errors mean that another user owns the process
+        return not isinstance(error, ProcessLookupError)
     return True
 
 
@@ -172,9 +170,8 @@ def written_into(folder: Path) -> Iterator[None]:
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
     """Open a regular file in a binary mode, or raise an ``OSError`` for a link, pipe or device."""
     with contextlib.suppress(FileNotFoundError):  # some modes create the file
-        _check_regular(
-            path, path.lstat()
-        )  # before opening, because opening some devices has side effects
+        # before opening, because opening some devices has side effects
+        _check_regular(path, path.lstat())
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
     try:
         _check_regular(path, os.fstat(file.fileno()))  # it may have been replaced in between
@@ -187,16 +184,14 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 def remove_unfinished(folder: Path) -> None:
     """Remove the temporary files of killed processes from a folder."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(
-            OSError
-        ):  # a leftover does no harm, because no code reads files with such a name
+        # a leftover does no harm, because no code reads files with such a name
+        with contextlib.suppress(OSError):
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
                 with contextlib.suppress(PermissionError):  # Windows does not remove open files
-                    path.unlink(
-                        missing_ok=True
-                    )  # during the lock, so that no process starts to write to the file
+                    # during the lock, so that no process starts to write to the file
+                    path.unlink(missing_ok=True)
             path.unlink(missing_ok=True)
 
 
@@ -227,13 +222,11 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
         with file:
             file.write(content)
             file.flush()
-            os.fsync(
-                file.fileno()
-            )  # so that the content is on the disk before the file gets its name
+            # so that the content is on the disk before the file gets its name
+            os.fsync(file.fileno())
             if os.name != "nt":
-                return finish(
-                    temporary, path
-                )  # still locked, so that no process removes the file as a leftover
+                # still locked, so that no process removes the file as a leftover
+                return finish(temporary, path)
         return finish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -342,9 +335,8 @@ def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
             is_shallow = git(root, "rev-parse", "--is-shallow-repository").strip() == "true"
             log = ("-c", "log.showRoot=true", "log", *form, "--name-only", "--diff-filter=A")
             commit, day, parents = "", "", ""
-            for part in git(root, *log, "--", str(folder.resolve())).split(
-                "\0"
-            ):  # The newest commit is first.
+            # The newest commit is first.
+            for part in git(root, *log, "--", str(folder.resolve())).split("\0"):
                 if part.startswith("\1"):
                     commit, day, parents = part.removeprefix("\1").split(" ", 2)
                 elif (name := part.removeprefix("\n")) and (parents.strip() or not is_shallow):

@@ -246,9 +246,8 @@ class _Replaced:
     """The functions of this process that tests have replaced."""
 
     def __init__(self) -> None:
-        self._back: list[
-            Callable[[], object]
-        ] = []  # functions that restore the replacements, the last first
+        # functions that restore the replacements, the last first
+        self._back: list[Callable[[], object]] = []
 
     @contextmanager
     def shown(self, is_shown: bool) -> Iterator[None]:
@@ -301,7 +300,8 @@ def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
     }
 
 
-@cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.
+# A loaded package does not change, and reading its metadata takes as long as replaying a file.
+@cache
 def _version_of(package: str) -> str:
     try:
         return metadata.version(package)
@@ -315,9 +315,8 @@ def cores(root: Path = Path("/")) -> int:
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     ]
     for quota, *period in cpu_limits(root):  # CPU time [us] of all cores together in each period
-        counts.append(
-            -(-quota // (period or [100_000])[0])
-        )  # rounded up; 100 ms is the kernel's default
+        # rounded up; 100 ms is the kernel's default
+        counts.append(-(-quota // (period or [100_000])[0]))
     return min(counts)
 
 

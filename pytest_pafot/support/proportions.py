@@ -105,9 +105,8 @@ def none_text(trials: int, what: str = "scenarios") -> str:
 
 
 def _most_without_hits(trials: int) -> str:
-    most = (
-        100 * interval(0, trials)[1] - 1e-9
-    )  # otherwise, its last bit would decide whether it is rounded up
+    # otherwise, its last bit would decide whether it is rounded up
+    most = 100 * interval(0, trials)[1] - 1e-9
     digits = 0 if most >= 10 else 1 if most >= 1 else 2
     return f"at most {math.ceil(most * 10**digits) / 10**digits:g} %"
 

@@ -80,19 +80,16 @@ def imported(reference: str) -> ModuleType:
         if not module_name or module_name.startswith("."):  # a relative name has no package here
             raise ModuleNotFoundError(f"No module named {module_name!r}", name=module_name)
         return importlib.import_module(module_name)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # A script without a guard calls sys.exit() when it is imported.
+    # A script without a guard calls sys.exit() when it is imported.
+    except (Exception, SystemExit) as error:
         # A module that imports a missing module raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(
             f"{error.name}."
         )
         way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
         path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
-        if path != module_name and not path.startswith(
-            "."
-        ):  # otherwise, it is not a path, or not below this folder
+        # otherwise, it is not a path, or not below this folder
+        if path != module_name and not path.startswith("."):
             way_out = f"Write {path}:{name}"
         received = (
             f" ({type(error).__name__}: {error})"
@@ -143,9 +140,8 @@ def described(error: BaseException) -> str:
         if not each.filename.startswith(here)
     ]
     text = one_line("".join(traceback.format_exception_only(error)))
-    has_place = (
-        isinstance(error, SyntaxError) or not frames
-    )  # the message of a SyntaxError names the place
+    # the message of a SyntaxError names the place
+    has_place = isinstance(error, SyntaxError) or not frames
     return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
 
 
@@ -169,9 +165,8 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
             continue
         try:
             content = file.read_bytes()
-        except (
-            OSError
-        ) as error:  # such as a module in an archive, or a file that was removed after its import
+        # such as a module in an archive, or a file that was removed after its import
+        except OSError as error:
             found[file] = source.name, f"unreadable: {error.strerror}"
             continue
         found[file] = source.name, f"sha256:{hashlib.sha256(content).hexdigest()[:16]}"
@@ -190,9 +185,8 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
         for cls in value.__mro__:
             yield from _of_module(cls.__module__)
     elif isinstance(value, FunctionType):
-        file = (
-            value.__code__.co_filename
-        )  # not the module's: two modules may have the same name, such as conftest
+        # not the module's: two modules may have the same name, such as conftest
+        file = value.__code__.co_filename
         if not file.startswith("<"):  # such as a function from an interactive session or from exec
             yield _Source(value.__module__ or "", Path(file))
     for each in _held(value):
@@ -246,9 +240,8 @@ def _file_of(name: str) -> Path | None:
     package, _, _ = name.rpartition(".")
     try:
         if not package:
-            spec = importlib.util.find_spec(
-                name
-            )  # by all finders, including those of editable installs
+            # by all finders, including those of editable installs
+            spec = importlib.util.find_spec(name)
         else:
             holder = sys.modules.get(package)
             spec = PathFinder.find_spec(
@@ -276,10 +269,8 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
         return
     try:
         tree = ast.parse(content)
-    except (
-        SyntaxError,
-        ValueError,
-    ):  # the file was broken after its import; its hash has changed in any case
+    # the file was broken after its import; its hash has changed in any case
+    except (SyntaxError, ValueError):
         return
     package = source.name if source.file.stem == "__init__" else source.name.rpartition(".")[0]
     for node in ast.walk(tree):
@@ -291,10 +282,8 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
                 base = importlib.util.resolve_name(base, package)
             except ImportError:  # a relative import in a file outside of a package
                 continue
-            names = [
-                base,
-                *(f"{base}.{alias.name}" for alias in node.names),
-            ]  # a name may be a module, too
+            # a name may be a module, too
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
         for name in names:

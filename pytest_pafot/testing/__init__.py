@@ -430,9 +430,8 @@ class _Bench:
         # The change in each tick, of the simulator and of the model. A lagging drivetrain needs time, so only the last
         # part counts.
         since, limit = int(SETTLED * len(asked)), min(LATE, 0.8 * run.dt)
-        parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(
-            axis=0
-        )  # [vehicle, whose control]
+        # [vehicle, whose control]
+        parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(axis=0)
         # The control of which vehicle explains the change, and is the unit a usual one?
         for number, part in enumerate(np.diag(parts).tolist()):
             who, fits = run.name(number), least <= part <= most
@@ -488,9 +487,8 @@ class _Bench:
         for number, length in enumerate(body.length for body in run.bodies):
             driven, _, course = run.steps(number)
             # The slip gives the distance between the point that the vehicle turns about and the centre of its box.
-            spare = (
-                run.states[-1, number, 3] * run.dt / 2 / length
-            )  # a step may use the heading before or after it
+            # a step may use the heading before or after it
+            spare = run.states[-1, number, 3] * run.dt / 2 / length
             behind = float((driven * np.sin(course)).sum() / turned[number] / length)
             is_ahead = behind + spare < CENTRE[0]
             promise = "a vehicle turns about its rear axle, given the stated reference"

@@ -63,9 +63,8 @@ def decision_asked(
 ) -> FirstDecision | None:
     """Describe the first decision in a scenario, or return None if the run fails earlier."""
     seen: list[Any] = []
-    trace = rollout(
-        scenario, lambda: seen.append
-    )  # returns None, so that the error names the expected action
+    # returns None, so that the error names the expected action
+    trace = rollout(scenario, lambda: seen.append)
     if not seen or trace.error is None:
         return None
     # The run ended because the action was None. The error states the expected action.

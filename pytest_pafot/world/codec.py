@@ -138,9 +138,8 @@ def _may_name(path: Any) -> bool:
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {
-        field.name for field in fields(cls) if field.compare
-    }  # the other fields are not part of a world
+    # the other fields are not part of a world
+    known = {field.name for field in fields(cls) if field.compare}
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         expected = f"no fields other than {listed(sorted(known))}"

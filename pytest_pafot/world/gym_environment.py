@@ -104,9 +104,8 @@ SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 
 # The largest accepted number of entries of options that are lists.
 LONGEST: Mapping[str, int] = MappingProxyType(
     {
-        **dict.fromkeys(
-            ("features", "attributes", "scales"), 50
-        ),  # highway-env's vehicles have 13 features
+        # highway-env's vehicles have 13 features
+        **dict.fromkeys(("features", "attributes", "scales"), 50),
         "target_speeds": 100,
         "observation_configs": 20,
         "observation_shape": 2,
@@ -171,7 +170,8 @@ class EnvironmentGuard(HangGuard):
 
     def __init__(self, hang_limit: float) -> None:
         super().__init__(patience_with_world(hang_limit))
-        self.silence = hang_limit  # as for decisions, because the timer may still run when the next decision starts
+        # as for decisions, because the timer may still run when the next decision starts
+        self.silence = hang_limit
 
     @contextmanager
     def call(self) -> Iterator[None]:
@@ -416,9 +416,8 @@ class GymEnvironment:
             self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
         )
         if isinstance(made, EgosRegulatedRoad):
-            made.steps = (
-                own.steps
-            )  # a reset has done some steps, and the count decides when rules are enforced next
+            # a reset has done some steps, and the count decides when rules are enforced next
+            made.steps = own.steps
         return made
 
     @cached_property
@@ -882,9 +881,8 @@ def _exceeded(name: str, value: Any) -> str:
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
         return f"at most {LONGEST[name]} entries"
-    if name == "weights" and len(numbers) < len(
-        entries
-    ):  # a matrix would make one image per column
+    # a matrix would make one image per column
+    if name == "weights" and len(numbers) < len(entries):
         return "one number for each colour"
     if any(each > LARGEST.get(name, math.inf) for each in numbers):
         return f"at most {LARGEST[name]:g}"
@@ -948,9 +946,8 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
             field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix
         )
     for name, value in given.items():
-        if isinstance(value, str) and isinstance(
-            default[name], (int, float)
-        ):  # it would fail during a run
+        # it would fail during a run
+        if isinstance(value, str) and isinstance(default[name], (int, float)):
             expected = f"a number such as {default[name]!r}"
             raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
     if (egos := env.config.get("controlled_vehicles", 1)) != 1:
@@ -966,9 +963,8 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
         )
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
-        if (
-            name in given and type(kind).__module__ == module.__name__
-        ):  # options of other classes are not known
+        # options of other classes are not known
+        if name in given and type(kind).__module__ == module.__name__:
             _check_names(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
 
 
@@ -1002,10 +998,8 @@ def _options(module: Any) -> set[str]:
         if inspect.isclass(each) and each.__module__ == module.__name__
     ]
     taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
-    return (taken - {"env", "kwargs"}) | {
-        "type",
-        "flatten",
-    }  # intersection-v0 has "flatten", which no class uses
+    # intersection-v0 has "flatten", which no class uses
+    return (taken - {"env", "kwargs"}) | {"type", "flatten"}
 
 
 def _make_environment(

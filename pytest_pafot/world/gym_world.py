@@ -331,9 +331,8 @@ class World(BaseWorld):
             duration = min(duration, self._longest)
             surveyed = survey(env, self.env_id, self.limits, duration * TOP_SPEED)
             road = way = with_junction(env, surveyed, self.limits, self.ego)
-            if (
-                way.ego_speed > 0
-            ):  # the run ends when an ego at its initial speed would reach the end of the road
+            # the run ends when an ego at its initial speed would reach the end of the road
+            if way.ego_speed > 0:
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
         obstacles = self.environment.obstacles

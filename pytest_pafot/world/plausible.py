@@ -32,9 +32,8 @@ class Plausibility:
         self._slack = SLACK + CHANGE * dt * dt / 2
         self._before = self._states = states
         self._tick = 0
-        self._seen = [
-            (x, y, 0) for x, y, *_ in self._states
-        ]  # when and where each vehicle last moved or was slow
+        # when and where each vehicle last moved or was slow
+        self._seen = [(x, y, 0) for x, y, *_ in self._states]
         # An impossible change in speed in the last tick. A user's code may stop vehicles suddenly in a collision, which
         # ends the run in that tick. So the change is an error only if there is a next tick.
         self.doubt = ""

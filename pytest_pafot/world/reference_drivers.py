@@ -163,9 +163,8 @@ class ReferenceDriver(ABC):
         self.speeds, self.places = speeds, places
         lowest = self.acceleration - self.JERK * self.step
         wish = min(self.wish(observation), self.at_junction(observation))
-        self.acceleration = max(
-            wish, min(lowest, 0.0), -self.HARDEST
-        )  # brakes are released immediately
+        # brakes are released immediately
+        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)
         steering = (
             -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
         )
@@ -208,14 +207,12 @@ class ReferenceDriver(ABC):
             return math.inf
         if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
             room = other.ego_distance - LINE
-            needed = ego.speed**2 / (
-                2 * max(room, LINE / 2)
-            )  # near the line: no hard braking for a few cm
+            # near the line: no hard braking for a few cm
+            needed = ego.speed**2 / (2 * max(room, LINE / 2))
             return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
         in_the_way = other.is_inside and other.ahead > 0
-        return (
-            -self.HARDEST if in_the_way else math.inf
-        )  # it is too late to stop, so the ego leaves the zone
+        # it is too late to stop, so the ego leaves the zone
+        return -self.HARDEST if in_the_way else math.inf
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
         """Return whether the driver waits before a zone until a vehicle has passed, or has left room behind it."""
@@ -328,9 +325,8 @@ class CarefulHuman(ReferenceDriver):
             ):
                 calm = min(calm, follow)
             elif noticed >= PERCEPTION - EPSILON and follow < 0:
-                calm = min(
-                    calm, 0.0
-                )  # the foot has left the accelerator, but is not yet on the brake
+                # the foot has left the accelerator, but is not yet on the brake
+                calm = min(calm, 0.0)
         # Hard braking ends when no vehicle is critical and the ego is not faster than any of its leaders.
         if is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf
@@ -391,9 +387,8 @@ def matters_to(
     # it still does while it pauses over the line.
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
-    if (
-        other.lane == ego.lane
-    ):  # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
+    # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
+    if other.lane == ego.lane:
         offset += lane_width
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2

@@ -621,9 +621,8 @@ def _check_names(cls: type[Simulator]) -> None:
     stated = [
         name
         for each in classes
-        if issubclass(
-            each, Simulator
-        )  # attributes of other classes, such as a mixin, may have any name
+        # attributes of other classes, such as a mixin, may have any name
+        if issubclass(each, Simulator)
         for name, value in vars(each).items()
         if not name.startswith("_")
         and not hasattr(Simulator, name)

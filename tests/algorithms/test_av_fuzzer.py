@@ -116,9 +116,8 @@ class TestOperators:
                 kinds["speed" if before.speed != after.speed else "lane"] += 1
                 places[npc, gene] += 1
         assert_rate(kinds["speed"], DRAWS, 1 / 3 * 268 / 269)
-        assert_rate(
-            kinds["lane"], DRAWS, 1 / 3 * 2 / 3
-        )  # a sampled action equals the old one in a third of the cases
+        # a sampled action equals the old one in a third of the cases
+        assert_rate(kinds["lane"], DRAWS, 1 / 3 * 2 / 3)
         assert len(places) == 10
 
 

@@ -51,9 +51,8 @@ def told(scenario):
 
 def check(scenario, space):
     """Check everything that a search with a space promises about a scenario."""
-    assert scenario == Scenario.from_canonical(
-        json.loads(scenario.canonical())
-    )  # this checks all scenario rules
+    # this checks all scenario rules
+    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))
     assert not clashes(JUNCTION, scenario)
     assert len(scenario.npcs) - len(told(scenario)) <= space.most_on_grid
     assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)

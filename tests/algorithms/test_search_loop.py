@@ -72,9 +72,8 @@ def test_scenarios_are_announced_in_the_order_of_their_evaluation(cheap_world, a
 
     def evaluate(scenario):
         evaluated.append(scenario)
-        while (
-            foreseen.pop(0) != scenario
-        ):  # Not evaluated, since an earlier run determined its result.
+        # Not evaluated, since an earlier run determined its result.
+        while foreseen.pop(0) != scenario:
             pass
         return world(scenario)
 

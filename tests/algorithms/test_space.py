@@ -54,9 +54,8 @@ def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, 
     scenario = sample(space, rng)
     for _ in range(mutations):
         scenario = mutate(scenario, space, rng)
-    assert scenario == Scenario.from_canonical(
-        json.loads(scenario.canonical())
-    )  # which checks all of its rules
+    # which checks all of its rules
+    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))
     assert scenario.traffic == space.traffic
     assert 1 <= len(scenario.npcs) <= space.most_on(scenario.ego_lane)
     assert scenario.gene_seconds in (space.gene_durations or (space.gene_seconds,))

@@ -56,9 +56,8 @@ def test_lane_change_leaves_the_room_of_the_page():
             has_room.append(
                 own[tick, X] - npc[tick, X] - half >= eval(formula, {"u": v, "d": max(u - v, 0)})
             )
-        if (
-            all(has_room) or trace.duration < 5.4
-        ):  # within 3 s, the NPC is not yet the one that has to answer
+        # within 3 s, the NPC is not yet the one that has to answer
+        if all(has_room) or trace.duration < 5.4:
             found.append(all(has_room))
             assert (who(trace) == "npc") == all(has_room)
     assert 5 <= sum(found) <= len(found) - 5

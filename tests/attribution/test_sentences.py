@@ -106,9 +106,8 @@ def test_deeds_are_told_from_the_danger_on(brakes, told):
     npc, ego = found.sentences
     assert told in ego
     assert npc.startswith("At 5.3 s, NPC 0 was ")
-    assert npc.endswith(
-        " ahead of the ego. It drove at 10.0 m/s."
-    )  # that a vehicle ahead did not brake is no news
+    # that a vehicle ahead did not brake is no news
+    assert npc.endswith(" ahead of the ego. It drove at 10.0 m/s.")
 
 
 @table(("speed", "brakes", "told"), [
@@ -152,9 +151,8 @@ def told_of(trace, sentence, vehicle, since):
     for phase, start, end in zip(phases, starts, [*starts[1:], trace.ticks], strict=False):
         part = speeds[max(start - since - 1, 0) : end - since + 1]
         change, hardest = part[-1] - part[0], -np.diff(part).min() * HZ
-        near = speeds[
-            max(end - since - 1, 0) : end - since + 2
-        ]  # within a tick, since the time is rounded
+        # within a tick, since the time is rounded
+        near = speeds[max(end - since - 1, 0) : end - since + 2]
         assert near.min() - 0.06 < float(phase[2]) < near.max() + 0.06
         assert phase[1] is None or float(phase[1]) == pytest.approx(speeds[0], abs=0.06)
         assert (phase[0] == "sped up") == (change > 0)
@@ -162,9 +160,8 @@ def told_of(trace, sentence, vehicle, since):
         assert phase[3] is None or float(phase[3]) == pytest.approx(hardest, abs=0.06)
         if phase[5] and trace.track is None:
             ahead = trace.states[start, 1, X] - trace.states[start, 0, X] - 5.0
-            assert float(phase[5]) == pytest.approx(
-                ahead, abs=1.5
-            )  # within the tick of the rounded time
+            # within the tick of the rounded time
+            assert float(phase[5]) == pytest.approx(ahead, abs=1.5)
     if kept := re.search(rf"drove at {NUMBER} m/s", deed):
         assert float(kept[1]) == pytest.approx(speeds[0], abs=0.21)
     if "stood still" in deed:

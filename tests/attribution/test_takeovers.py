@@ -91,7 +91,8 @@ def test_what_is_before_the_run_confirms_but_is_no_takeover():
 @table(("of", "number"), [
     (lambda trace, tick: taken(trace, hit=IMPACT + AFTER), 0.0),
     (lambda trace, tick: taken(trace, hit=IMPACT + AFTER + 1), 0.25),
-    (lambda trace, tick: taken(trace, hit=IMPACT + 9, cell=Cell.REAR, side="rear"), 0.0),  # the same vehicle
+    # the same vehicle
+    (lambda trace, tick: taken(trace, hit=IMPACT + 9, cell=Cell.REAR, side="rear"), 0.0),
     (lambda trace, tick: taken(trace, hit=IMPACT + 9, npc=1, cell=Cell.REAR, side="rear"), 0.25),
     (lambda trace, tick: taken(trace, hit=IMPACT + 9, npc=1), 0.0),
     (lambda trace, tick: taken(trace, hit=IMPACT - 1, npc=1, cell=Cell.REAR, side="rear"), None),
@@ -99,7 +100,8 @@ def test_what_is_before_the_run_confirms_but_is_no_takeover():
     (lambda trace, tick: taken(trace, ticks=IMPACT - 1, outcome=Outcome.END_OF_ROAD), None),
     (lambda trace, tick: taken(trace, ticks=IMPACT + 9, outcome=Outcome.INVALID), None),
     (lambda trace, tick: taken(trace, ticks=IMPACT + AFTER, outcome=Outcome.INVALID), 0.25),
-    (lambda trace, tick: replace(taken(trace), states=taken(trace).states + 0.1), None),  # another run
+    # another run
+    (lambda trace, tick: replace(taken(trace), states=taken(trace).states + 0.1), None),
     (lambda trace, tick: taken(trace, ticks=9), None),
 ])  # fmt: skip
 def test_takeover_avoids_if_nothing_counts_that_the_driver_touches(of, number):

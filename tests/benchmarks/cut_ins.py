@@ -43,7 +43,8 @@ class Fuzzy:
     """The Fuzzy Safety Model (Mattas et al., Accident Analysis and Prevention 148, 2020) with the values of R157."""
 
     REACTION, COMFORTABLE, HARDEST, OTHERS, MARGIN, JERK = 0.75, 4.0, 6.0, 7.0, 2.0, 12.65
-    ROUNDING = 0.5  # [m], our own: without it, the model touches what it stops for, because time passes in ticks
+    # [m], our own: without it, the model touches what it stops for, because time passes in ticks
+    ROUNDING = 0.5
 
     def __init__(self) -> None:
         self.waits, self.acceleration = self.REACTION, 0.0

@@ -146,9 +146,8 @@ def _engines_at(world: Highway, rounds: int) -> None:
 class TimedHighway(Highway):
     """A road that records how long its runs take."""
 
-    spent: list[float] = field(
-        default_factory=list, compare=False
-    )  # processor time of each run [s]
+    # processor time of each run [s]
+    spent: list[float] = field(default_factory=list, compare=False)
     guards_ads = True  # in the rollout of its base class
 
     def rollout(self, *args: Any, **more: Any) -> Trace:

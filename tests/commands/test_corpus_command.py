@@ -166,9 +166,8 @@ def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
     ("other", "`python -m pytest_pafot corpus list` lists the files"),
 ])  # fmt: skip
 def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong, fix):
-    write(
-        folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111")
-    )  # told only once
+    # told only once
+    write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept(wrong) == 1
     assert capsys.readouterr().err == (
         f"corpus: {wrong}: expected the file of a saved scenario, or the id of a saved scenario below the "

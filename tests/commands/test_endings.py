@@ -116,9 +116,8 @@ def check_that_all_ends(folder, places, words, name):
         process.wait(60)
     assert process.returncode == 128 + number
     deadline = time.monotonic() + 60.0
-    while (
-        processes_with(mark) and time.monotonic() < deadline
-    ):  # what is killed takes a moment to go
+    # what is killed takes a moment to go
+    while processes_with(mark) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert processes_with(mark) == []
     assert [each.name for each in places.iterdir() if not each.name.startswith("pytest-")] == []

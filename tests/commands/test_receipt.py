@@ -69,9 +69,8 @@ def ended(folder, command, *, options=None, **parts):
 @pytest.fixture(autouse=True)
 def outside_of_ci(monkeypatch):
     monkeypatch.delenv("CI", raising=False)
-    monkeypatch.setenv(
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1"
-    )  # loading other plugins takes as long as a search
+    # loading other plugins takes as long as a search
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     set_keys(monkeypatch, shrink_runs=0)
 
@@ -93,9 +92,8 @@ def check_ending(folder, command, place, how):
     """Run a command on a policy that ends its process at a place; it says so, and is no success."""
     code, told = ended(folder, command, **{place: how})
     assert code != 0
-    assert "Traceback" not in told or not command.startswith(
-        "rate"
-    )  # pytest's, or the policy's own
+    # pytest's, or the policy's own
+    assert "Traceback" not in told or not command.startswith("rate")
     assert re.search(
         r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told
     )

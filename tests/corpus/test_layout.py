@@ -213,9 +213,8 @@ def test_folders_of_a_test_are_found_among_all(tmp_path_factory, others, test):
 
 
 def test_folder_of_longer_name_belongs_to_another_test():
-    assert may_be_of(
-        safe_name("TestA::\u00aa[0]"), "TestA::\u00aa"
-    )  # whose ending is not in the folder's name
+    # whose ending is not in the folder's name
+    assert may_be_of(safe_name("TestA::\u00aa[0]"), "TestA::\u00aa")
     for other in ("test_ab", "test_ab[1]", "test_ab[A]", "test_a_b[A]", "TestX::test_a"):
         assert not may_be_of(safe_name(other), "test_a")
         assert not may_be_of(safe_name(f"TestX::{other}"), "TestX::test_a")

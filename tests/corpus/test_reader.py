@@ -216,12 +216,14 @@ XFAIL = "# xfail: {reason, until}"
     (swapped(XFAIL, "xfail: {reason: slow, until: 2027-02-30}"),
      ":16: xfail.until: expected a valid date in the form YYYY-MM-DD, received '2027-02-30'. "
      "Write a date such as 2027-01-31"),
-    (swapped(XFAIL, "xfail: {reason: slow, untill: 2027-01-31}"),  # the key is named before its date
+    # the key is named before its date
+    (swapped(XFAIL, "xfail: {reason: slow, untill: 2027-01-31}"),
      ":16: xfail.untill: expected the key 'reason' or 'until', received 'untill'. Did you mean 'until'?"),
     (swapped(XFAIL, "zzz: 1"), "'flaky' or 'xfail', received 'zzz'. Rename or remove the key"),
     (TEXT.replace("found: ", "# ").replace("        versions", "# versions"),
      "expected the key 'found', received only 'pafot', 'scenario', 'expect', 'test' and 'world'"),
-    ("pafot: 4\nnew_things: []\n", "received 4. Install the version of pytest-pafot that wrote this file"),  # first
+    # first
+    ("pafot: 4\nnew_things: []\n", "received 4. Install the version of pytest-pafot that wrote this file"),
     (swapped("seed: 7", "seed: 7\n  traffic: null"),
      "scenario.traffic: expected 'paper', 'hostile', 'assertive' or 'everyday', received null"),
     ("pafot: 1\ntest: *a\n", "'a'"),  # an alias

@@ -111,9 +111,8 @@ class TestTtc:
 
 class TestEttc:
     @given(movers(), movers())
-    @example(
-        vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0)
-    )  # the time to the crossing point is infinite
+    # the time to the crossing point is infinite
+    @example(vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0))
     @example(vehicle(0, 1, heading=0.5, speed=1e-308), vehicle(50))
     def test_is_the_solution_of_the_two_lines(self, ego, npc):
         directions = [
@@ -126,7 +125,9 @@ class TestEttc:
         if abs(np.linalg.det(matrix)) > 1e-9 and ego[0, SPEED] != 0:
             ways = np.linalg.solve(matrix, npc[0, :2] - ego[0, :2])
             if abs(ways).min() < 1e-9:
-                return  # the crossing point is under a vehicle's centre: ahead or behind is a matter of rounding
+                # the crossing point is under a vehicle's centre: ahead or behind is a matter of
+                # rounding
+                return
             expected = ways[0] / abs(ego[0, SPEED]) if (ways > 0).all() else math.inf
         assert_same(of_one_npc(criticality.ettc, ego, npc), expected)
 
@@ -134,7 +135,8 @@ class TestEttc:
 class TestSafetyDistance:
     @table(("ego", "npc", "expected"), [
         (vehicle(0, speed=20, acceleration=1), vehicle(50, speed=15, acceleration=-2), 5 * 3 + 3 * 9 / 2),
-        (vehicle(0, speed=20, acceleration=-2), vehicle(-50, speed=26), 6 * 3 + 2 * 9 / 2),  # the NPC follows
+        # the NPC follows
+        (vehicle(0, speed=20, acceleration=-2), vehicle(-50, speed=26), 6 * 3 + 2 * 9 / 2),
         (vehicle(0, speed=20), vehicle(50, speed=25), -15),  # it pulls away
     ])  # fmt: skip
     def test_is_what_the_follower_gains_in_three_seconds(self, ego, npc, expected):

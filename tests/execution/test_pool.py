@@ -31,10 +31,8 @@ TASKS = list(range(6))
 @pytest.fixture
 def pool_of():
     """Return a function that makes pools that square numbers after some action; end their processes afterwards."""
-    pools, before = (
-        [],
-        multiprocessing.active_children(),
-    )  # other tests' idle processes end by themselves
+    # other tests' idle processes end by themselves
+    pools, before = [], multiprocessing.active_children()
 
     def make(do, size=2, patience=30.0, method="fork", **options):
         def work(number, tell):
@@ -151,9 +149,8 @@ def test_exceptions_and_unsendable_results_are_clear_answers():
         if number == 3:
             raise SystemExit("enough")
         if number == 4:
-            os.kill(
-                os.getpid(), signal.SIGINT
-            )  # as from the keyboard, which reaches only the session
+            # as from the keyboard, which reaches only the session
+            os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.01)
         return (lambda: number) if number == 5 else number
 
@@ -314,9 +311,8 @@ def answering(then):
 
 @pytest.mark.processes
 def test_slow_process_that_answers_signals_is_not_killed(pool_of):
-    now = multiprocessing.RawValue(
-        "d", 0.0
-    )  # advances with each answer, however long that takes on a busy machine
+    # advances with each answer, however long that takes on a busy machine
+    now = multiprocessing.RawValue("d", 0.0)
 
     def later():
         now.value += 0.2

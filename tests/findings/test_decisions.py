@@ -441,9 +441,8 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(instead, asked):
 def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz
-    assert deciding(run, expecting(run)) == int(
-        run.attribution.time * hz + 1e-6
-    )  # by the rules, when danger began
+    # by the rules, when danger began
+    assert deciding(run, expecting(run)) == int(run.attribution.time * hz + 1e-6)
     assert (
         told_of(run)
         == f"The ego drove at 22.0 m/s and did not brake from {run.attribution.time:.1f} s on."
@@ -451,9 +450,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     assert deciding(run, expecting(run, takeover=1.25)) == int(
         (run.collision.time - 1.25) * hz + 1e-6
     )
-    assert deciding(run, expecting(run, takeover=0.0)) == deciding(
-        run, expecting(run)
-    )  # none avoids it
+    # none avoids it
+    assert deciding(run, expecting(run, takeover=0.0)) == deciding(run, expecting(run))
     assert vehicle_of(run, expecting(run)) == 0
 
 

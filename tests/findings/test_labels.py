@@ -32,7 +32,8 @@ PASSES, FAILS = {"is_handled": True}, {"fails": True, "is_same": True}
     ("passes", PASSES),
     ("passes", PASSES | {"is_accepted": True}),
     ("passes", PASSES | {"reference_passes": True}),
-    ("passes", PASSES | {"reference_passes": False, "is_elsewhere": True}),  # both drove the same scenario
+    # both drove the same scenario
+    ("passes", PASSES | {"reference_passes": False, "is_elsewhere": True}),
     ("fixed", PASSES | {"searched": 40}),
     ("fixed", PASSES | {"searched": 40, "reference_passes": False, "is_rare": True}),
 ])  # fmt: skip

@@ -184,7 +184,8 @@ def test_message_does_not_depend_on_numbers_or_files(one, other):
     ("", "lane 3 is closed", "lane N is closed"),
     ("", "float64 has no v2", "float64 has no v2"),
     ("", "assert 0.3 > 1.0\n + where", "assert N > N"),
-    ("assert run.min_ttc > 1.0 and (", "", "assert run.min_ttc > N and ("),  # which cannot be parsed
+    # which cannot be parsed
+    ("assert run.min_ttc > 1.0 and (", "", "assert run.min_ttc > N and ("),
 ])  # fmt: skip
 def test_text_without_a_source_that_can_be_parsed_keeps_its_words(source, message, text):
     assert normalised(source, message) == text

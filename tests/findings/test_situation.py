@@ -111,7 +111,8 @@ AWAY = driven(0.0, shifts=[(4.5, LEFT, 3.0)])
     (EARLIER, driven(35.0, **BRAKES), True),
     (AWAY, driven(35.0, **BRAKES), True),
     (driven(0.0), driven(35.0), False),  # the leader does not slow down
-    (driven(0.0, speed=9.0), driven(35.0, **BRAKES), False),  # the ego is no faster than the leader becomes
+    # the ego is no faster than the leader becomes
+    (driven(0.0, speed=9.0), driven(35.0, **BRAKES), False),
     (driven(0.0), driven(35.0, LEFT, **BRAKES), False),  # the other is in the next lane
     (driven(0.0, speed=10.0), driven(80.0, **BRAKES), False),  # the ego never comes close
     (driven(0.0), driven(-35.0, speed=8.0), False),  # the other is behind
@@ -122,7 +123,8 @@ def test_leader_is_met_however_the_ego_answers_it(ego, npc, is_met):
 
 @pytest.mark.parametrize(("ego", "npc", "is_met"), [
     (driven(0.0), driven(-2.0, RIGHT), True),  # no lane change
-    (driven(0.0, shifts=[(9.0, RIGHT, 3.0)]), driven(-2.0, RIGHT, brakes=[(6.0, 3.0, 14.0)]), True),  # later
+    # later
+    (driven(0.0, shifts=[(9.0, RIGHT, 3.0)]), driven(-2.0, RIGHT, brakes=[(6.0, 3.0, 14.0)]), True),
     (driven(0.0, shifts=[(4.0, LEFT, 3.0)]), driven(-2.0, RIGHT), True),  # to the other side
     (driven(0.0, speed=12.0), driven(-2.0, RIGHT, speed=12.0), True),  # all drive slower
     (driven(0.0, RIGHT), driven(-4.0, FAR), True),  # one lane further to the right
@@ -130,7 +132,8 @@ def test_leader_is_met_however_the_ego_answers_it(ego, npc, is_met):
     (driven(0.0), driven(-2.0, FAR), False),  # two lanes away
     (driven(0.0), driven(-12.0, RIGHT), False),  # never comes up to the ego
     (driven(0.0, speed=10.0), driven(-20.0, RIGHT, speed=25.0), False),  # passes at once
-    (driven(0.0, brakes=[(0.0, 6.0, 0.0)]), driven(-2.0, RIGHT), False),  # only where they start; then the ego stops
+    # only where they start; then the ego stops
+    (driven(0.0, brakes=[(0.0, 6.0, 0.0)]), driven(-2.0, RIGHT), False),
 ])  # fmt: skip
 def test_vehicle_alongside_is_met_whatever_the_ego_does(ego, npc, is_met):
     assert comes_up(into_the_side(), ego, npc) is is_met

@@ -18,9 +18,8 @@ import numpy as np
 
 
 def _power(base: float, exponent: float) -> float:
-    return (
-        base * base if exponent == 2 else math.pow(base, exponent)
-    )  # numpy also squares by a multiplication
+    # numpy also squares by a multiplication
+    return base * base if exponent == 2 else math.pow(base, exponent)
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
@@ -34,9 +33,8 @@ def of_the_c_library(name: str) -> Callable[..., Any]:
     numpys, maths = getattr(np, name), FUNCTIONS[name]
 
     def function(x: Any, *args: Any, **kwargs: Any) -> Any:
-        is_single = isinstance(x, (float, int, np.number)) or not np.ndim(
-            x
-        )  # numpy's own answer is slow for numbers
+        # numpy's own answer is slow for numbers
+        is_single = isinstance(x, (float, int, np.number)) or not np.ndim(x)
         return np.float64(maths(x, *args, **kwargs)) if is_single else numpys(x, *args, **kwargs)
 
     return function

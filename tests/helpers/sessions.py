@@ -140,9 +140,8 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
     monkeypatch.setattr(subprocess, "Popen", Copy)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
-    monkeypatch.setattr(
-        sys, "path_importer_cache", dict(sys.path_importer_cache)
-    )  # without the folders of other tests
+    # without the folders of other tests
+    monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))
 
 
 def set_keys(monkeypatch, **values):
@@ -293,9 +292,8 @@ class Copy(subprocess.Popen):
         asked = dict(zip(ASKED, given, strict=True))
         asked["without"] = _modules_of_the_project()
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", DeprecationWarning
-            )  # a thread of a worker of pytest-xdist only waits
+            # a thread of a worker of pytest-xdist only waits
+            warnings.simplefilter("ignore", DeprecationWarning)
             self.pid = os.fork()
         if not self.pid:
             sys.orig_argv, (sys.argv, call) = args, found
@@ -372,10 +370,8 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
             os.dup2(stream, number)
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in [int(each.name) for each in Path("/dev/fd").iterdir()]:
-        if number > 2 and number not in (
-            nothing,
-            *pass_fds,
-        ):  # closed, it might be a new file's when its object ends
+        # closed, it might be a new file's when its object ends
+        if number > 2 and number not in (nothing, *pass_fds):
             os.dup2(nothing, number, inheritable=False)
     sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
     sys.stdout, sys.stderr = (
@@ -386,18 +382,16 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
     warnings.resetwarnings()
     faulthandler.disable()
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
-        if (
-            signal.getsignal(number) != signal.SIG_IGN
-        ):  # pygame's handlers, which abort, are not even known here
+        # pygame's handlers, which abort, are not even known here
+        if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(
                 number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
             )
     if env is not None:
         os.environ.clear()
         os.environ.update(env)
-    tempfile.tempdir = os.environ.get(
-        "TMPDIR"
-    )  # finding it out writes a file, which a killed process leaves
+    # finding it out writes a file, which a killed process leaves
+    tempfile.tempdir = os.environ.get("TMPDIR")
     sys.dont_write_bytecode |= bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
     os.chdir(cwd or ".")
     sys.path[:0] = [

@@ -105,7 +105,6 @@ def random_states(rng, rows, vehicles, *, spread=25.0):
 def blamed_on(responsible, trace):
     """Return a run for whose collision some vehicles are responsible, whatever the rules say."""
     run = Run(trace)
-    vars(run)["attribution"] = Attribution(
-        responsibility=responsible, tick=None, time=None
-    )  # as if it had been read
+    # as if it had been read
+    vars(run)["attribution"] = Attribution(responsibility=responsible, tick=None, time=None)
     return run

@@ -111,10 +111,10 @@ def main(folder: Path) -> None:
         rooms = importlib.import_module(f"pytest_pafot.{room}").__path__
         for module in pkgutil.walk_packages(rooms, f"pytest_pafot.{room}."):
             importlib.import_module(module.name)
-    importlib.import_module(
-        "pytest_pafot.plugin.session"
-    ).LOG_SECONDS = 1e9  # a slow session would report its progress
-    gc.disable()  # the end of a generator that is garbage is a call, from wherever the collection happens to be
+    # a slow session would report its progress
+    importlib.import_module("pytest_pafot.plugin.session").LOG_SECONDS = 1e9
+    # the end of a generator that is garbage is a call, from wherever the collection happens to be
+    gc.disable()
     os.register_at_fork(after_in_child=lambda: sys.setprofile(None))
     os.chdir(folder)
     Path("test_it.py").write_text(TESTS)

@@ -175,9 +175,8 @@ class TestScenarios:
 
 def driven(way, instruction, start, seconds):
     """Return an NPC's place at each step of the oracle, if it drives at its speed, or as fast as bends allow."""
-    speeds = np.minimum(
-        way.speeds, instruction.speed
-    ).tolist()  # every `STEP` metres, and linear between these
+    # every `STEP` metres, and linear between these
+    speeds = np.minimum(way.speeds, instruction.speed).tolist()
     last, places = len(speeds) - 1, [start]
     while len(places) * EACH < seconds:
         steps = min(max(places[-1] / STEP, 0.0), last)
@@ -287,13 +286,17 @@ def test_npcs_of_one_lane_stay_in_order():
 @table(("changes", "fits"), [
     ({}, True),
     ({"zone": "o1>o4"}, False),
-    ({"slot": 5.0, "speed": 9.0}, False),  # 12.5 s to the zone, which is 90 m from the way's beginning
+    # 12.5 s to the zone, which is 90 m from the way's beginning
+    ({"slot": 5.0, "speed": 9.0}, False),
     ({"slot": 5.0, "speed": 7.0}, True),
-    ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),  # it should enter its zone before the run begins
-    ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0}, True),  # it enters its zone after 1 s, at the latest
+    # it should enter its zone before the run begins
+    ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),
+    # it enters its zone after 1 s, at the latest
+    ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0}, True),
     ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "stop"}, True),
     ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "hold"}, True),
-    ({"zone": "o3>o1", "slot": -4.2, "speed": 8.0, "act": "hold"}, False),  # 6.4 m are not enough to stop
+    # 6.4 m are not enough to stop
+    ({"zone": "o3>o1", "slot": -4.2, "speed": 8.0, "act": "hold"}, False),
     ({"act": "hold"}, True),
 ])  # fmt: skip
 def test_npc_fits_if_it_can_start_and_act(changes, fits):

@@ -28,12 +28,10 @@ seeds = st.integers(0, 2**63 - 1)
 roads = st.sampled_from(
     [
         ALL_CELLS,
-        frozenset(
-            {Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}
-        ),  # ego on the left lane
-        frozenset(
-            {Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}
-        ),  # ego on the right lane
+        # ego on the left lane
+        frozenset({Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}),
+        # ego on the right lane
+        frozenset({Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}),
         frozenset({Cell.FRONT, Cell.REAR}),  # one lane
     ]
 )
@@ -181,13 +179,16 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
 
 
 @table(("requested", "existing", "clockwise", "executed"), [
-    (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
+    # the next cell that exists is a neighbour
+    (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
     (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
     (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
     (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
-    (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
+    # on in its own direction
+    (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),
     (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
-    (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
+    # a distant cell: a neighbour by the coin
+    (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),
     (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
     (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
     (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),

@@ -300,7 +300,8 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.COMPLETED, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
     assert dies.end == "ended with exit code 9"
-    dask_cluster._kept.cache_clear()  # and with it the only end of a pipe for which the process waits
+    # and with it the only end of a pipe for which the process waits
+    dask_cluster._kept.cache_clear()
     for process in multiprocessing.active_children():
         process.join(60.0)
     assert multiprocessing.active_children() == []

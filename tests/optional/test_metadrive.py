@@ -94,13 +94,11 @@ def test_lidar_sees_the_others_at_the_start_of_a_run_and_after_a_tick():
     simulator.step([control(own, (0.0, -1.0)), control(ahead), control(truck)])
     for seen in (first, simulator.observe()):
         assert seen.shape == (275,)
-        assert seen[19:21] == pytest.approx(
-            [0.5, (1 - 3.5 / 50) / 2], abs=1e-3
-        )  # the truck, the nearest
+        # the truck, the nearest
+        assert seen[19:21] == pytest.approx([0.5, (1 - 3.5 / 50) / 2], abs=1e-3)
         assert seen[23:25] == pytest.approx([(1 + 15 / 50) / 2, 0.5], abs=1e-3)
-        assert seen[35] == pytest.approx(
-            (15 - 2.2575) / 50, abs=1e-2
-        )  # straight ahead, to the rear bumper
+        # straight ahead, to the rear bumper
+        assert seen[35] == pytest.approx((15 - 2.2575) / 50, abs=1e-2)
 
 
 def test_sensors_change_the_size_of_the_lidar_observation():

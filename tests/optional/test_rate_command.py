@@ -243,9 +243,8 @@ def test_ctrl_c_reports_the_completed_episodes(capsys, monkeypatch, at):
     [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
 )
 def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
-    crashing(
-        {"idm_mobil": crashes}
-    )  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    crashing({"idm_mobil": crashes})
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
     assert ("received a confidence interval that starts at" in capsys.readouterr().err) == bool(
         code

@@ -93,8 +93,7 @@ def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
     _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
     assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
     assert "rate: interrupted" in told
-    if (
-        number != signal.SIGKILL
-    ):  # then nobody may have waited for it yet, though its output is closed
+    # then nobody may have waited for it yet, though its output is closed
+    if number != signal.SIGKILL:
         with pytest.raises(ProcessLookupError):
             os.kill(int(begun[0].name.removeprefix("pid-")), 0)

@@ -104,11 +104,8 @@ def test_lanes_of_a_route_are_lines_from_the_left(net):
 def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
     at_left = JOINED.replace('fromLane="0" toLane="1"', 'fromLane="0" toLane="0"')
     at_left = at_left.replace('fromLane="1" toLane="2"', 'fromLane="1" toLane="1"')
-    for index, y in (
-        (0, 0),
-        (1, 4),
-        (2, 8),
-    ):  # so all lanes of the edge are one lane further to the left
+    # so all lanes of the edge are one lane further to the left
+    for index, y in ((0, 0), (1, 4), (2, 8)):
         old = y - 4
         at_left = at_left.replace(
             lane_text("three", index, [(505, old), (2000, old)]),

@@ -75,16 +75,10 @@ def test_lane_is_named_relative_to_the_egos(lane, npc, words):
             0,
             "keep the 4th lane right of the ego",
         ),
-        (
-            run_of(in_lanes("left@8"), ego=-1, lanes=((1, 1),)),
-            0,
-            "one lane left",
-        ),  # the ego is off the road
-        (
-            run_of(in_lanes("keep@8 keep@8 keep@8 left@8")),
-            3,
-            "one lane left",
-        ),  # the run never reached this gene
+        # the ego is off the road
+        (run_of(in_lanes("left@8"), ego=-1, lanes=((1, 1),)), 0, "one lane left"),
+        # the run never reached this gene
+        (run_of(in_lanes("keep@8 keep@8 keep@8 left@8")), 3, "one lane left"),
     ],
 )
 def test_lane_is_counted_from_the_egos_if_both_are_known(run, gene, words):
@@ -176,9 +170,8 @@ def test_lanes_of_a_bend_are_counted_across_it():
     trace = pafot.World("racetrack-v0", planner_hz=5).rollout(
         scenario, lambda: lambda seen: (-0.2, 0.0)
     )
-    npc_across = trace.track[
-        :: 4 * trace.physics_hz, 1, ACROSS
-    ]  # the ego keeps 0, lanes are 5 m wide
+    # the ego keeps 0, lanes are 5 m wide
+    npc_across = trace.track[:: 4 * trace.physics_hz, 1, ACROSS]
     assert npc_across[:3] == pytest.approx([-5.0, 0.0, 0.0], abs=0.5)
     words = [lane_text(trace, 0, gene) for gene in range(3)]
     assert words == [

@@ -10,9 +10,8 @@ from pytest_pafot.searches import saved_scenario
 from tests.helpers.tables import table
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
-SPEEDS = KEEPS.replace(
-    "(0.0, 0.0)", "(1.25, 0.0)"
-)  # the lengths differ, so that no stale copy is used
+# the lengths differ, so that no stale copy is used
+SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")
 BREAKS = KEEPS.replace("(0.0, 0.0)", "(-1.0, 0.0)")
 TEST = """
 import planner
@@ -199,9 +198,8 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
     policies(
         changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n"
     )
-    changed.write(
-        TEST.replace("MORE", "").replace("SHORT", "genes=2")
-    )  # other scenarios have other numbers of NPCs
+    # other scenarios have other numbers of NPCs
+    changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))
     result = changed.run(AGAINST, runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])

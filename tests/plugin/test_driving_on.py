@@ -189,9 +189,8 @@ def test_reference_that_dies_after_the_end_does_so_once(saved):
 @pytest.mark.processes
 def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     assert replay(saved, "dying", apart=True).ret == 9
-    monkeypatch.setattr(
-        "pytest_pafot.execution.runner.METHOD", "spawn"
-    )  # here, and in sessions of its own
+    # here, and in sessions of its own
+    monkeypatch.setattr("pytest_pafot.execution.runner.METHOD", "spawn")
     before = "import pytest_pafot.execution.runner as pool\npool.METHOD = 'spawn'\n"
     for _ in range(2):
         result = replay(saved, "dying", before=before)
@@ -223,9 +222,8 @@ def test_failure_by_chance_after_the_end_is_flaky(saved):
 
 def test_pass_without_its_situation_is_driven_on_too(saved):
     path = saved.only_file
-    path.write_text(
-        path.read_text().replace("ego_speed: ", "ego_speed: 9")
-    )  # it was far faster than the NPC
+    # it was far faster than the NPC
+    path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))
     replay(saved, "braking").stdout.fnmatch_lines(["*1 drifted"])
     replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
 

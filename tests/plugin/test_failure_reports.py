@@ -73,7 +73,8 @@ def dice(seen):
     return (acceleration if random.random() < 0.5 else 2.0), steering
 
 """
-KINDS = {  # the policy, the arguments of its search, the body of its test, and what the session says when it finds it
+# the policy, the arguments of its search, the body of its test, and what the session says when it finds it
+KINDS = {
     "collision": ("cruise", "blame='ego'", "assert not run.collision, run.explain()", "a collision"),
     "check": ("cruise", "", "pafot.check(-run.ego.acceleration, name='braking', at_most=5.0, unit='m/s^2')",
               "a failed check"),
@@ -131,9 +132,8 @@ def test_no_line_of_a_block_or_summary_but_its_command_exceeds_the_terminal(
     project, examined, monkeypatch, columns
 ):
     monkeypatch.setenv("COLUMNS", str(columns))
-    kinds = [
-        kind for kind in KINDS if kind not in ("hang", "death")
-    ]  # whose texts are short, but whose runs are slow
+    # whose texts are short, but whose runs are slow
+    kinds = [kind for kind in KINDS if kind not in ("hang", "death")]
     project.write(of_kinds(*kinds))
     result = project.run(runs=40, seed=2)
     told = blocks(result)
@@ -189,9 +189,8 @@ def test_record_contains_explanation_and_takeover_of_the_collision(explained):
 def test_an_id_is_not_repeated_without_need(explained):
     text = search(explained).stdout.str()
     told = [line for line in text.splitlines() if explained.only_id in line]
-    assert (
-        len(told) == 6
-    )  # announced; title, command; summary of the search; both lines of pytest's short summary
+    # announced; title, command; summary of the search; both lines of pytest's short summary
+    assert len(told) == 6
 
 
 @pytest.mark.parametrize("flag", ["-v", "--tb=long"])

@@ -593,9 +593,8 @@ def test_what_is_no_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, monk
         unlisted(patch, saved.path / place)
         assert is_red(replay(saved))
     shutil.rmtree(saved.path / place)
-    (saved.path / place).write_text(
-        "../elsewhere"
-    )  # so git writes a link, where it may not make links
+    # so git writes a link, where it may not make links
+    (saved.path / place).write_text("../elsewhere")
     result = replay(saved)
     assert (is_red(result), told(result)) == (True, [f"1 saved scenario: {place}"])
 

@@ -49,10 +49,8 @@ def write_hostile(project):
     }
     for name, text in files.items():
         path.with_name(f"{name}.pafot.yaml").write_text(text, encoding="utf-8")
-    for folder in (
-        path.parent.with_name(f"gone {WORST}"),
-        path.parents[1],
-    ):  # an orphan, and a stray file
+    # an orphan, and a stray file
+    for folder in (path.parent.with_name(f"gone {WORST}"), path.parents[1]):
         folder.mkdir(exist_ok=True)
         (folder / f"other {WORST}.pafot.yaml").write_text(files["texts"], encoding="utf-8")
     project.leave_behind(WORST)
@@ -94,15 +92,8 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
         for record in records
     )
     assert any(record["xfail"] == {"reason": WORST, "until": "2027-01-31"} for record in records)
-    for name in (
-        "accepted",
-        "over",
-        "flaky",
-        "value",
-        "nested",
-        "key",
-        "scalar",
-    ):  # files without differences by style
+    # files without differences by style
+    for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
         options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]

@@ -163,9 +163,8 @@ def test_process_death_while_shrinking_is_a_finding(isolated):
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
-    result.stdout.fnmatch_lines(
-        ["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"]
-    )  # none of the search
+    # none of the search
+    result.stdout.fnmatch_lines(["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"])
 
 
 ONCE = """

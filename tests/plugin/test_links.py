@@ -52,19 +52,16 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
     failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
-    assert (
-        failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR
-    )  # it leads to itself
+    # it leads to itself
+    assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR
 
 
 def test_overlong_links_and_names_do_not_end_session(failing):
     failing.run()
     file = failing.only_file
     folder, module, corpus = file.parents[:3]
-    for gone in (
-        module / "test_gone",
-        corpus / ("m" * 254) / "test_gone",
-    ):  # too long for a file's name with .py
+    # too long for a file's name with .py
+    for gone in (module / "test_gone", corpus / ("m" * 254) / "test_gone"):
         gone.mkdir(parents=True)
         shutil.copy(file, gone)
     for link in (

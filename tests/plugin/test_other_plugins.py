@@ -59,8 +59,8 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         "--junitxml=junit.xml",
         "-rA",
         plugins=(plugin,),
-        apart=plugin
-        in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
+        # both plugins change the process in which they run
+        apart=plugin in ("pytest_cov", "sugar"),
         runs=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
@@ -131,9 +131,8 @@ def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(proj
 
 def test_another_plugin_may_deselect_what_is_no_item(project):
     more = "\ndef pytest_collection_modifyitems(config):\n    config.hook.pytest_deselected(items=[object()])\n"
-    project.pytester.makeconftest(
-        (project.path / "conftest.py").read_text() + more
-    )  # as pytest-testmon does
+    # as pytest-testmon does
+    project.pytester.makeconftest((project.path / "conftest.py").read_text() + more)
     project.write("@pafot.search(SHORT, runs=1)\ndef test_passes(run):\n    pass\n")
     project.run().assert_outcomes(passed=1, deselected=1)
 
@@ -187,8 +186,7 @@ def test_other_plugins_randomness_changes_nothing(project, monkeypatch):
     project.run(runs=8)
     plain = project.contents
     project.forget()
-    monkeypatch.setattr(
-        "numpy.random.default_rng", None
-    )  # no generator of this package comes from a replaced function
+    # no generator of this package comes from a replaced function
+    monkeypatch.setattr("numpy.random.default_rng", None)
     project.run(runs=8, plugins=("randomly",))
     assert project.contents == plain

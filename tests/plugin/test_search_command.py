@@ -297,9 +297,8 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     assert search.returncode == 130
     assert error == "\nsearch: interrupted\n"
     assert ", because it was interrupted." in " ".join(rest.split())
-    assert (
-        "report: pafot.html (1 " in rest
-    )  # an error, if the interrupt comes while the finding is drawn
+    # an error, if the interrupt comes while the finding is drawn
+    assert "report: pafot.html (1 " in rest
     assert (here / "pafot.html").exists()
 
 
@@ -323,9 +322,8 @@ def test_session_of_a_search_that_is_killed_ends(here):
         wait_for_a_finding(search)
         children = Path(f"/proc/{search.pid}/task/{search.pid}/children").read_text().split()
         os.kill(int(children[0]), signal.SIGKILL)
-        _, error = search.communicate(
-            timeout=60
-        )  # It also waits for the session, which has the same output.
+        # It also waits for the session, which has the same output.
+        _, error = search.communicate(timeout=60)
     assert search.returncode == 128 + signal.SIGKILL
     assert (
         "search: expected the process with the policy to finish the command, received the signal SIGKILL"

@@ -139,9 +139,8 @@ def test_search_that_cannot_start_is_recorded_with_reason(project):
 def test_findings_are_recorded_during_the_session_unless_writing_takes_long(
     project, monkeypatch, quick, count
 ):
-    monkeypatch.setattr(
-        reporter, "QUICK", quick
-    )  # so it takes long or not, however busy the machine is
+    # so it takes long or not, however busy the machine is
+    monkeypatch.setattr(reporter, "QUICK", quick)
     monkeypatch.setattr(reporter, "REST", 1e12)
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
@@ -362,9 +361,8 @@ def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypat
 
 
 def test_second_interrupt_leaves_the_code_of_the_first():
-    session = SimpleNamespace(
-        exitstatus=pytest.ExitCode.OK
-    )  # pytest has not noted the first Ctrl-C yet
+    # pytest has not noted the first Ctrl-C yet
+    session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)
     assert exit_code(session) == 0
     try:
         raise KeyboardInterrupt

@@ -8,7 +8,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 import pytest_pafot.searches.refine.simplest
-import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them is slow
+
+# pytester forgets modules that a run imports; reading them is slow
+import pytest_pafot.world.engines.gym_replay
 from example_ads import constant_speed
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.finding import FailureRate
@@ -196,9 +198,8 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
         )
 
     first, refining, files, note, result = session()
-    assert (
-        0 < refining <= max(first, 300) + 300
-    )  # and what confirms the finding, before its simplification
+    # and what confirms the finding, before its simplification
+    assert 0 < refining <= max(first, 300) + 300
     result.stdout.fnmatch_lines([note])
     assert session("--pafot-workers=2")[1:3] == (refining, files)
     first, refining, other, note, result = session("--pafot-shrink-runs=300")

@@ -212,7 +212,8 @@ ALSO = f"Also in this run: {HEADLINE}; ego at fault."
      ["The check fails: braking = 6.0 > 5 m/s^2.", *wrapped_to(ALSO, 80)]),
     ({"assertion": "run.min_ttc > N"}, HEADLINE, (), {"text": "assert 0.0 > 1.0"},
      ["t.py:52: assert 0.0 > 1.0 (run.min_ttc > N).", f"{HEADLINE}."]),
-    ({"assertion": "not run.off_road"}, "left the road", (), {"text": "left"},  # which the headline has
+    # which the headline has
+    ({"assertion": "not run.off_road"}, "left the road", (), {"text": "left"},
      ["t.py:52: left the road."]),
     (RAISED, "ZeroDivisionError: division by zero", (), {"place": ""},
      ["The policy failed after 3.8 s: ZeroDivisionError: division by zero.", *ERROR.splitlines()[:2]]),

@@ -115,9 +115,8 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     )
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0).replace("\u00a0", " ")
-    assert (
-        f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article
-    )  # red, as a collision's
+    # red, as a collision's
+    assert f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article
     assert article.count("deed") == 1
     assert article.index("</h2>") < article.index(view.besides) < article.index('class="player"')
     assert article.index('class="player"') < article.index("The collision.")
@@ -137,9 +136,8 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     assert len(view.check.values) == len(view.times)
     other = view_of(trace, finding_of(trace), check=replace(check, value=1.2), headline="x")
     assert (other.check.values, other.check.time) == ((), None)
-    assert (
-        other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."
-    )  # which its headline does not say
+    # which its headline does not say
+    assert other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."
 
 
 @pytest.mark.parametrize("at", [1.0, None])

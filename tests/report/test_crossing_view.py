@@ -44,9 +44,8 @@ def test_zone_area_is_where_bodies_are_inside_it():
     assert zone.area == ((50.0, -2.0), (50.0, -1.0), (50.0, 0.0), (50.0, 1.0), (50.0, 2.0))
     assert zone.width == 4.0
     first, *_, last = mixed().vehicles[2].zone.area
-    assert first == pytest.approx(
-        (75 - 15 * np.cos(0.5), 15 - 15 * np.sin(0.5)), abs=0.05
-    )  # 7.5 m of 15 m turned
+    # 7.5 m of 15 m turned
+    assert first == pytest.approx((75 - 15 * np.cos(0.5), 15 - 15 * np.sin(0.5)), abs=0.05)
     assert last[1] == pytest.approx(0.0, abs=0.05)
 
 

@@ -178,10 +178,8 @@ def test_takeover_is_above_the_picture():
     avoided, other = (
         replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1))
     )
-    assert view_of(trace, other).sentences == (
-        first,
-        *others,
-    )  # this finding is from a different run
+    # this finding is from a different run
+    assert view_of(trace, other).sentences == (first, *others)
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
     careful = "A careful driver who took control 1.25 s before the impact would have avoided it."
@@ -192,9 +190,8 @@ def test_takeover_is_above_the_picture():
 
 
 def test_deed_is_that_of_a_responsible_ego():
-    stopped = (
-        braking_ahead()
-    )  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
+    # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
+    stopped = braking_ahead()
     run = Run(stopped)
     assert run.responsibility == "ego"
     assert view_of(stopped).deed == run.sentences[1]

@@ -167,8 +167,7 @@ def test_code_is_fenced_by_enough_backticks(text, expected):
 def test_no_text_ends_its_line_or_opens_tag(text):
     for shown in (plain(text), code(text)):
         assert len(shown.splitlines()) <= 1
-    assert not re.search(
-        "[<>]", plain(text).replace("<span>$</span>", "")
-    )  # the one tag, which keeps $ from math
+    # the one tag, which keeps $ from math
+    assert not re.search("[<>]", plain(text).replace("<span>$</span>", ""))
     fence = re.match("`+", code(text))[0]
     assert code(text).count(fence) == 2

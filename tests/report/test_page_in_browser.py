@@ -118,9 +118,8 @@ def test_a_finding_opens_a_second_before_its_event_and_plays_once(opened):
     assert event - 1.001 <= page.evaluate(TIME) <= event
     page.until(f"{TIME} === {event}")
     assert page.evaluate(IMPACT) == "visible"
-    assert (
-        page.evaluate("location.hash") == f"#finding={real_views()[0].seen.id}"
-    )  # so that a reload plays it again
+    # so that a reload plays it again
+    assert page.evaluate("location.hash") == f"#finding={real_views()[0].seen.id}"
     page.evaluate(CLOCK)
     page.press("j")
     second = real_views()[1].event.time
@@ -229,9 +228,8 @@ def test_each_control_does_what_it_says(page):
     page.until(f"{TIME} > {middle}")
     page.click(SCRUBBER, 0.25)  # pauses there
     assert not page.evaluate(IS_PLAYING)
-    assert page.evaluate(TIME) == pytest.approx(
-        finding.times[-1] / 4, abs=0.3
-    )  # the knob has a width
+    # the knob has a width
+    assert page.evaluate(TIME) == pytest.approx(finding.times[-1] / 4, abs=0.3)
     page.click(f"{BUTTON}:not(.play)")
     assert page.evaluate(TIME) == pytest.approx(finding.event.time, abs=0.001)
     page.click("article.current .charts svg", 0.5)

@@ -120,7 +120,8 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
 @table(("failing", "otherwise", "runs", "lines"), [
     (1, 15, 20, ["18 of 48 runs failed", "16 of 20 random scenarios failed: 80.0 % (95 %: 56.3 to 94.3 %)."]),
     (0, 0, 20, ["18 of 48 runs failed", "None of 20 random scenarios failed: 0 % (95 %: at most 17 %)."]),
-    (3, 15, 44, ["18 of 44 random scenarios failed: 40.9 % (95 %: "]),  # of 48 runs, 4 evaluated nothing
+    # of 48 runs, 4 evaluated nothing
+    (3, 15, 44, ["18 of 44 random scenarios failed: 40.9 % (95 %: "]),
     (0, 0, 0, ["18 of 48 runs failed"]),
 ])  # fmt: skip
 def test_the_share_of_random_scenarios_that_fail_is_told_once(failing, otherwise, runs, lines):

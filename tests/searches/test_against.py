@@ -127,9 +127,8 @@ def test_reference_runs_only_where_the_policy_fails(monkeypatch):
     summary = pafot.explore(
         constant_speed.make, against=reference, holds=never_collides, **given
     ).summary
-    again = 2 * len(
-        summary.finds
-    )  # each finding is run once more at the end, and once for its moment
+    # each finding is run once more at the end, and once for its moment
+    again = 2 * len(summary.finds)
     compared = summary.paired.runs
     assert reference.runs == summary.failing + summary.kinds["common"] + again + compared
     assert summary.failing + summary.kinds["common"] < summary.runs

@@ -35,9 +35,8 @@ class Brakes:
         return self.acceleration, 0.0
 
 
-OWN = random.Random(
-    3
-)  # which nothing seeds, so it stands for os.urandom, but fails in the same way in each session
+# which nothing seeds, so it stands for os.urandom, but fails in the same way in each session
+OWN = random.Random(3)
 
 
 class Unrepeatable(Brakes):

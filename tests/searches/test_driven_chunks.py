@@ -54,9 +54,8 @@ def holds(run):
 @pytest.fixture
 def searched(tmp_path, monkeypatch):
     """Return a function that searches in chunks of 16 runs, and tells all about it and where given chunks begin."""
-    monkeypatch.setattr(
-        bench, "_difference_in_gym", lambda run, bench: ""
-    )  # the session itself makes that run
+    # the session itself makes that run
+    monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
     monkeypatch.setattr(scenarios, "chunk_size", lambda run_seconds, left, workers: min(16, left))
     given, task, note_of = [], scenarios.Chunk, run_table.note_of
     monkeypatch.setattr(
@@ -74,9 +73,8 @@ def searched(tmp_path, monkeypatch):
         has_table=True,
         **settings,
     ):
-        monkeypatch.setattr(
-            run_table, "note_of", note_of if has_table else None
-        )  # without one, runs are only counted
+        # without one, runs are only counted
+        monkeypatch.setattr(run_table, "note_of", note_of if has_table else None)
         monkeypatch.setattr(scenarios, "WORTH_SECONDS", 0.0 if drives else math.inf)
         settings = SPACE | {"shrink_runs": 0} | settings
         given.clear()
@@ -225,9 +223,8 @@ def saved_early(monkeypatch):
 
 def test_a_failure_of_a_later_chunk_is_saved_before_its_turn(searched, alone, saved_early):
     assert searched("early", drives=True, workers=2)[0] == alone
-    assert not {each.name for each in saved_early} <= {
-        *alone["files"]
-    }  # the first chunk has failures of their kinds
+    # the first chunk has failures of their kinds
+    assert not {each.name for each in saved_early} <= {*alone["files"]}
 
 
 def test_a_search_that_stops_at_its_findings_forgets_those_of_later_chunks(searched, saved_early):
@@ -294,9 +291,8 @@ def test_a_failure_of_a_later_chunk_that_is_not_repeated_is_flaky(
     def elsewhere(observation):
         return (0.0 if os.getpid() == SESSION else -1.0), 0.0
 
-    monkeypatch.setattr(
-        runner, "DEAR", math.inf
-    )  # so that processes only drive chunks, however slow the machine is
+    # so that processes only drive chunks, however slow the machine is
+    monkeypatch.setattr(runner, "DEAR", math.inf)
 
     def drives_on(run):
         assert run.collision or run.ego.speed[-1] > 15

@@ -205,9 +205,8 @@ def test_search_notes_once_which_traffic_is_missing():
         "at merge-v0, all NPCs drive along the ego's path and none joins it, so the search shows nothing about such "
         "traffic",
     )
-    (note,) = notes(
-        pafot.World("intersection-v0", duration=2.0), algorithm="pafot"
-    )  # this algorithm needs the grid
+    # this algorithm needs the grid
+    (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")
     assert (
         "at intersection-v0, all NPCs drive along the ego's path and none crosses it or joins it, "
         in note

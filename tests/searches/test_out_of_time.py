@@ -204,9 +204,8 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
     given = {"runs": 20, "max_time": 110, "shrink_runs": 40, "seed": 1}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
-    assert (
-        max(attempts(result).values()) > 70 / 3
-    )  # the limit without the search, divided by the findings
+    # the limit without the search, divided by the findings
+    assert max(attempts(result).values()) > 70 / 3
     assert clock.now < 110
 
 

@@ -98,9 +98,8 @@ def test_modules_made_from_their_sources_are_imported(package, monkeypatch):
     monkeypatch.syspath_prepend(package)
     import room  # noqa: F401
 
-    with pytest.raises(
-        ImportError, match=f"one{SUFFIX}"
-    ):  # a file without code; its source would be imported
+    # a file without code; its source would be imported
+    with pytest.raises(ImportError, match=f"one{SUFFIX}"):
         compiled.load("room")
 
 

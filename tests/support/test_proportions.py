@@ -119,10 +119,8 @@ def test_share_is_printed_with_interval_or_upper_bound():
 
 
 def test_difference_of_shares_spans_ends_of_their_intervals():
-    one, other = (
-        (0.015288277, 0.083160941),
-        (0.102068673, 0.221237474),
-    )  # of 8 and 31 of 200, with 97.5 %
+    # of 8 and 31 of 200, with 97.5 %
+    one, other = (0.015288277, 0.083160941), (0.102068673, 0.221237474)
     for hits, (low, high) in ((8, one), (31, other)):
         assert (1 - at_most(hits - 1, 200, low), at_most(hits, 200, high)) == pytest.approx(
             (0.0125, 0.0125), rel=1e-6

@@ -240,9 +240,8 @@ def unhindered(trace):
     """Return by tick and NPC whether its braking is its own: no vehicle was ahead within two lanes for two seconds."""
     x, y = trace.states[..., X], trace.states[..., Y]
     hindering = (x[:, None, :] >= x[:, 1:, None]) & (abs(y[:, None, :] - y[:, 1:, None]) < 10.0)
-    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = (
-        False  # no vehicle hinders itself
-    )
+    # no vehicle hinders itself
+    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False
     hindered = hindering.any(axis=2)
     lately = [
         hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30)

@@ -333,7 +333,8 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
     (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one for each cell around lane 0"),
     (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
     (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15. The"),
-    (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
+    # less than the top speed
+    (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),
 ])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])
 def test_unfitting_scenario_is_refused_with_its_field(world, scenario, message):

@@ -87,10 +87,8 @@ class Staged(HighwayEnv):
         npcs = [Replayed(self.road, *place) for place in first[1:]]
         for index, npc in enumerate(npcs, start=1):
             controls = states[1:, index, (ACCELERATION, STEERING)]
-            npc.tick, npc.controls = (
-                0,
-                np.concatenate([controls, np.zeros((60, 2))]),
-            )  # the last decision continues
+            # the last decision continues
+            npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((60, 2))])
         self.road.vehicles = [ego, *npcs]
         self.controlled_vehicles = [ego]
         for vehicle in self.road.vehicles:
@@ -109,10 +107,8 @@ class Listener:
         if isinstance(self.space, gymnasium.spaces.Discrete):
             action = int(rng.integers(self.space.n))
         else:
-            low, high = (
-                np.maximum(self.space.low, -1.5),
-                np.minimum(self.space.high, 1.5),
-            )  # without infinite bounds
+            # without infinite bounds
+            low, high = np.maximum(self.space.low, -1.5), np.minimum(self.space.high, 1.5)
             action = (low + high) / 2 + rng.uniform(-0.02, 0.02, self.space.shape) * (high - low)
         self.seen.append(array.copy())
         self.actions.append(action)
@@ -628,9 +624,8 @@ def test_random_straight_road_is_the_same_in_each_session(register):
 
 def test_custom_step_is_used_on_straight_roads_too(register):
     register("mine-v0", entry_point=Doubled)
-    own, stock = (
-        Listener(gymnasium.spaces.Discrete(1)) for _ in range(2)
-    )  # a policy with one action
+    # a policy with one action
+    own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))
     World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
     World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
     assert np.array_equal(own.seen[0], 2 * stock.seen[0])
@@ -1156,10 +1151,12 @@ def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
 
 
 @table(("kind", "planner_hz", "names"), [
-    ({"drives_itself": False}, None, [CONNECTED]),  # an observation may look for vehicles of that class
+    # an observation may look for vehicles of that class
+    ({"drives_itself": False}, None, [CONNECTED]),
     ({"drives_itself": False}, 5, [CONNECTED, "other_vehicles_type"]),
     ({"drives_itself": True}, None, ["other_vehicles_type"]),  # an IDMVehicle looks there
-    ({"drives_itself": False, "simulates": True}, None, []),  # what it simulates has vehicles of that class
+    # what it simulates has vehicles of that class
+    ({"drives_itself": False, "simulates": True}, None, []),
 ])  # fmt: skip
 def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(
     kind, planner_hz, names

@@ -84,9 +84,8 @@ def test_longer_run_begins_as_the_usual_run(world, ads):
 
 def test_road_and_configuration_stay_the_same():
     for world in (Highway(duration=DURATION), JUNCTION):
-        road = (
-            world.road
-        )  # a road through a network equals only itself, and a world makes its own when asked
+        # a road through a network equals only itself, and a world makes its own when asked
+        road = world.road
         longer = world.lasting(14.0)
         assert (longer, longer.to_dict(), longer.road) == (world, world.to_dict(), road)
         assert (world.longest_run, longer.longest_run) == (DURATION, 14.0)

@@ -122,9 +122,8 @@ def test_the_plain_environment_agrees(env_id):
         first = world.rollout(with_kinds(sample(space, rng), world, rng), idm)
         again = world.rollout_in_gym(first.executed, idm)
         assert disagreement(Run(first), Run(again)) == ""
-        drives = np.minimum.accumulate(
-            first.ego[:, SPEED] > 1.0
-        )  # IDM's steering magnifies rounding where it stands
+        # IDM's steering magnifies rounding where it stands
+        drives = np.minimum.accumulate(first.ego[:, SPEED] > 1.0)
         assert first.states[drives] == pytest.approx(again.states[drives], abs=1e-9)
         assert first.sizes.tolist() == again.sizes.tolist()
 

@@ -55,9 +55,8 @@ from pytest_pafot.world.kernel.observation import Observation
 Ask = Callable[..., Refining[Aside | None]]
 
 Additions = tuple[float, float, float]  # offsets of a vehicle's x [m], y [m] and speed [m/s]
-Change = tuple[
-    str, Additions | None
-]  # a change of a vehicle, in words and as offsets; None hides the vehicle
+# a change of a vehicle, in words and as offsets; None hides the vehicle
+Change = tuple[str, Additions | None]
 
 MANY = 1_000_000  # more lanes than any road has, since the run has already checked its actions
 
@@ -127,7 +126,8 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     npc, seen = moment.npc, aside.at
     whom: dict[int, tuple[int, ...]] | None = None
     if isinstance(seen, Observation):
-        whom = {}  # a condition is about the vehicles whose slightly different positions change its values
+        # a condition is about the vehicles whose slightly different positions change its values
+        whom = {}
         for other in (
             sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ()
         ):

@@ -56,9 +56,8 @@ def showing(
             return None
         if not shows(sighting, run, bench.finish(run, without_unreached_genes(run)), state, bench):
             return None
-    except (
-        ScenarioError
-    ):  # For example, the ego starts in an outer lane, where there are too few cells.
+    # For example, the ego starts in an outer lane, where there are too few cells.
+    except ScenarioError:
         return None
     except ProcessLostError as error:
         yield from lose(error, state, bench, store)
@@ -292,9 +291,8 @@ def _likely(
     if not harness.world.is_resumable:
         return None
     failure = Failure(kind=found.failure, assertion=found.assertion)
-    rollout: Callable[..., Trace] = (
-        harness.world.rollout
-    )  # it accepts decisions, because the world is resumable
+    # it accepts decisions, because the world is resumable
+    rollout: Callable[..., Trace] = harness.world.rollout
 
     @cache
     def likely(candidate: Scenario, best: Scenario) -> bool:
@@ -334,7 +332,8 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     begins = slice(None, trace.ticks, round(run.scenario.gene_seconds * trace.physics_hz))
     speeds, lanes = trace.ego[begins, SPEED], trace.road.numbers(0)[begins]
     if (lanes < 0).any():
-        return ()  # the ego left the road, or the road is not straight, so that a later start would be elsewhere on it
+        # the ego left the road, or the road is not straight, so that a later start would be elsewhere on it
+        return ()
     return tuple(
         (int(lane), float(min(max(round(speed, 1), 0.0), top_speed)))
         for lane, speed in zip(lanes, speeds, strict=True)

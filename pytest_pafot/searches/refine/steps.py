@@ -117,9 +117,8 @@ def _simplified(
         return True
     # Find the simplest scenario that fails in the same way, and run it again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
-    may_go_on = (
-        bench.is_at_limit and bench.asked < bench.refining_most
-    )  # so that a careful driver is tried
+    # so that a careful driver is tried
+    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)

@@ -26,16 +26,14 @@ from pytest_pafot.support.text import visible
 
 PARTING = 3  # the largest number of rows for conditions that another decision evaluates differently
 
-FIRST = (
-    500  # the largest number of evaluations per condition that are compared with another decision
-)
+# the largest number of evaluations per condition that are compared with another decision
+FIRST = 500
 
 # the largest number of characters in a row; a longer row omits the condition's text, which no person wrote
 LONGEST = 1000
 
-LOOKED_AT = (
-    50  # the largest number of elements of a value that are compared with those in another decision
-)
+# the largest number of elements of a value that are compared with those in another decision
+LOOKED_AT = 50
 
 # a constant in the copied code that is replaced by the recorder, so the code needs no name for it
 _RECORDER = "pytest-pafot: the recorder of conditions"
@@ -124,9 +122,8 @@ class Parted(NamedTuple):
 
     evaluation: Evaluation
     ending: str  # added to its row
-    whom: tuple[
-        int, ...
-    ]  # the moved NPC, on which the outcome depends, even if no value shows this
+    # the moved NPC, on which the outcome depends, even if no value shows this
+    whom: tuple[int, ...]
 
 
 def parting(
@@ -199,9 +196,8 @@ def group_conditions(
             each.condition, visible(f"{each.row(evaluation)}{ending}")
         )
 
-    conditions = {
-        each.condition: each for each in evaluated
-    }  # first the rows of `first`, then the other rows
+    # first the rows of `first`, then the other rows
+    conditions = {each.condition: each for each in evaluated}
     for condition, parted in first.items():
         add(conditions.pop(condition), *parted)
     for each in conditions.values():
@@ -241,9 +237,8 @@ class Conditions:
                 suppress(OSError, SyntaxError, ValueError, RecursionError),
                 warnings.catch_warnings(),
             ):
-                warnings.simplefilter(
-                    "ignore"
-                )  # Python warned about this source when it was imported.
+                # Python warned about this source when it was imported.
+                warnings.simplefilter("ignore")
                 source = file.read_bytes()
                 tree = ast.fix_missing_locations(_Marking(place).visit(ast.parse(source)))
                 plain = compile(source, file, "exec", dont_inherit=True)
@@ -281,9 +276,8 @@ class Conditions:
             for function, code in before:
                 function.__code__ = code
         held = [ads]
-        for _ in range(
-            3
-        ):  # to the methods, attributes and variables of the ADS, and the contents of their lists
+        # to the methods, attributes and variables of the ADS, and the contents of their lists
+        for _ in range(3):
             held = gc.get_referents(*held)
             if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
                 return
@@ -297,10 +291,8 @@ class Conditions:
         ]
 
     def _copy(self, code: CodeType) -> CodeType | None:
-        if (
-            code.co_name,
-            code.co_firstlineno,
-        ) not in self._places:  # much faster than resolving the path
+        # much faster than resolving the path
+        if (code.co_name, code.co_firstlineno) not in self._places:
             return None
         file = self._real.get(code.co_filename)
         if file is None:
@@ -357,9 +349,8 @@ class _Marking(ast.NodeTransformer):
             return node
         name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
         value = _Values(self, name).visit(node)
-        if (
-            is_test
-        ):  # Its truth is evaluated only once, because its evaluation may run the user's code.
+        # Its truth is evaluated only once, because its evaluation may run the user's code.
+        if is_test:
             value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
         return _called("end", node, name, _called("begin", node), value)
 
@@ -425,9 +416,8 @@ class _Recorder:
                 outcomes = self._outcomes.pop(condition, {})
                 times, _ = outcomes.pop(evaluation.outcome, (0, None))
                 outcomes[evaluation.outcome] = times + 1, evaluation
-                self._outcomes[condition] = (
-                    outcomes  # at the end, because this condition was evaluated last
-                )
+                # at the end, because this condition was evaluated last
+                self._outcomes[condition] = outcomes
         return value
 
     def evaluated(self) -> list[Evaluated]:

@@ -73,9 +73,8 @@ def checked_action(action: Any, space: Any) -> Any:
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
-    if (
-        is_choice
-    ):  # only a choice must be within bounds, because the environment limits other numbers itself
+    # only a choice must be within bounds, because the environment limits other numbers itself
+    if is_choice:
         expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
     try:
         given = np.asarray(action)  # may run the ADS's code, for example __array__
@@ -91,9 +90,8 @@ def checked_action(action: Any, space: Any) -> Any:
         return int(given.reshape(()))
     if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
         raise _bad(expected, action)
-    return np.array(
-        given, dtype=np.result_type(given, np.float32)
-    )  # a copy: the ADS may reuse its array
+    # a copy: the ADS may reuse its array
+    return np.array(given, dtype=np.result_type(given, np.float32))
 
 
 def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
@@ -149,9 +147,8 @@ class View:
         ego.check_collisions = True
         road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
-        for each in (
-            source.road.vehicles
-        ):  # without a route or a target, so that the NPCs' plans stay hidden
+        # without a route or a target, so that the NPCs' plans stay hidden
+        for each in source.road.vehicles:
             if each is not source.vehicle:
                 state = np.array(each.position), float(each.heading), float(each.speed)
                 road.vehicles.append(self._traffic(road, *state))
@@ -270,19 +267,16 @@ class FastTable:
                 return self._table.observe(
                     ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane
                 )
-            except (
-                LookupError,
-                ZeroDivisionError,
-            ):  # a lane that is not on the road, or an empty features_range
+            # a lane that is not on the road, or an empty features_range
+            except (LookupError, ZeroDivisionError):
                 pass
         return self._slowly()
 
     @cached_property
     def _table(self) -> Table:
         stock = self._stock
-        if (
-            stock.normalize and not stock.features_range
-        ):  # as highway-env does at the first observation
+        # as highway-env does at the first observation
+        if stock.normalize and not stock.features_range:
             lanes = len(self._roads.all_side_lanes(stock.observer_vehicle.lane_index))
             ends = (
                 5.0 * Vehicle.MAX_SPEED,
@@ -322,7 +316,8 @@ class GuardedDriver(EgoDriver):
                 guard.decision_starts()
                 action = self.make_decision(tick)
             finally:
-                guard.decision_ends()  # before the exception is handled, which nothing may interrupt
+                # before the exception is handled, which nothing may interrupt
+                guard.decision_ends()
             guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, tick, guard)
@@ -478,9 +473,8 @@ class ModelPolicyDriver(PolicyDriver):
         super().show_all(is_lean=is_lean)
 
     def _applied(self, action: Any) -> Any:
-        checked = super()._applied(
-            action
-        )  # the environment interprets the action, and the kernel takes the goal
+        # the environment interprets the action, and the kernel takes the goal
+        checked = super()._applied(action)
         self._compiled.take(self.vehicle, self._model)
         return checked
 

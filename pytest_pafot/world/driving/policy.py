@@ -36,9 +36,8 @@ The callable can have these members: ``check_world(world)`` raises an error if i
 def is_vehicle_class(candidate: object) -> bool:
     """Return whether an object is a highway-env vehicle class or a ``functools.partial`` of a vehicle class."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
-    kinematics = sys.modules.get(
-        "highway_env.vehicle.kinematics"
-    )  # imported wherever a vehicle class exists
+    # imported wherever a vehicle class exists
+    kinematics = sys.modules.get("highway_env.vehicle.kinematics")
     return (
         kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
     )
@@ -182,9 +181,8 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
 
 def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
     """Give a vehicle a copy of the environment's route, if both have one."""
-    if route is not None and hasattr(
-        vehicle, "route"
-    ):  # a copy, because highway-env shortens it during the run
+    # a copy, because highway-env shortens it during the run
+    if route is not None and hasattr(vehicle, "route"):
         vehicle.route = list(route)
 
 
@@ -218,9 +216,8 @@ class Perception(Sight):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(
-            self, "__wrapped__", self.ads
-        )  # inspect then returns the signature of this factory
+        # inspect then returns the signature of this factory
+        object.__setattr__(self, "__wrapped__", self.ads)
         fix = ""
         if isinstance(self.ads, Perception):
             fix = "set all imperfections in one pafot.Perception"
@@ -323,9 +320,8 @@ class Ads:
     """The ADS that a policy has created for one run."""
 
     given: Any  # the return value of the factory, which is closed after the run
-    decides: (
-        Any  # the callable that receives the observations, or a vehicle class, which needs none
-    )
+    # the callable that receives the observations, or a vehicle class, which needs none
+    decides: Any
     sight: Sight | None
     drives_itself: bool  # true for a vehicle class, which a factory may also return
 
@@ -397,9 +393,8 @@ class Policy:
         return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
 
     def _own(self, name: str) -> Any:
-        inner = inspect.unwrap(
-            self.factory
-        )  # a class is a factory, but its attributes belong to its ADSs
+        # a class is a factory, but its attributes belong to its ADSs
+        inner = inspect.unwrap(self.factory)
         return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
@@ -431,9 +426,8 @@ class IdmModel:
 def is_patched(cls: type) -> bool:
     """Return whether functions of a highway-env class have been replaced or added, for example by a test."""
     module, qualname = cls.__module__, cls.__qualname__
-    for name, each in vars(
-        cls
-    ).items():  # simple comparisons, because every run of a vehicle class makes them
+    # simple comparisons, because every run of a vehicle class makes them
+    for name, each in vars(cls).items():
         if type(each) is FunctionType and (
             each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module
         ):
@@ -458,9 +452,8 @@ def idm_model(ads: Any) -> IdmModel | None:
     if stock is None or not isinstance(cls, type) or not issubclass(cls, stock):
         return None
     # Only constants may differ from the stock class: other code would drive differently.
-    own = [
-        base for base in cls.__mro__ if base not in stock.__mro__
-    ]  # a base may also follow the stock class
+    # a base may also follow the stock class
+    own = [base for base in cls.__mro__ if base not in stock.__mro__]
     only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
@@ -473,9 +466,8 @@ def idm_model(ads: Any) -> IdmModel | None:
     if type(cls).__call__ is not type.__call__ or other_code or stock.TAU_PURSUIT != PURSUIT:
         return None
     named = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
-    constants = {
-        name: named[name] for name in CONSTANTS
-    }  # without getattr, because a descriptor is no constant
+    # without getattr, because a descriptor is no constant
+    constants = {name: named[name] for name in CONSTANTS}
     if not is_usable(constants):
         return None
     return IdmModel(
@@ -492,13 +484,11 @@ class Aside:
     """The decisions that an ADS makes during a run without affecting the run."""
 
     asked: int = 0  # number of decisions that the ADS actually made
-    answers: list[Any] = field(
-        default_factory=list
-    )  # one action per decision, or None if the ADS raised an error
+    # one action per decision, or None if the ADS raised an error
+    answers: list[Any] = field(default_factory=list)
     at: Any = None  # the observation at the decision of a question, before it is replaced
-    conditions: list[Evaluated] = field(
-        default_factory=list
-    )  # evaluated at the decision of a question
+    # evaluated at the decision of a question
+    conditions: list[Evaluated] = field(default_factory=list)
 
     def action_at(self, number: int) -> Any:
         return self.answers[number] if number < len(self.answers) else None
@@ -510,12 +500,10 @@ class Question:
 
     number: int
     instead: Any = None  # replaces the observation, unless None
-    is_noted: bool = (
-        True  # false if the observation, which may be any object of a simulator, need not be stored
-    )
-    conditions: Conditions | None = (
-        None  # records the conditions that the ADS evaluates in this decision
-    )
+    # false if the observation, which may be any object of a simulator, need not be stored
+    is_noted: bool = True
+    # records the conditions that the ADS evaluates in this decision
+    conditions: Conditions | None = None
 
 
 class Shadow(Around):
@@ -545,9 +533,8 @@ class Shadow(Around):
             aside.answers.append(self._actions[number])
             return self._actions[number]
         if question is not None and number == question.number:
-            aside.at = (
-                copy.deepcopy(observation) if question.is_noted else None
-            )  # the ADS may write into it
+            # the ADS may write into it
+            aside.at = copy.deepcopy(observation) if question.is_noted else None
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
@@ -592,9 +579,8 @@ class Unseeing(Around):
         self.npc = npc
 
     def __call__(self, seen: Any) -> Any:
-        if isinstance(
-            seen, Observation
-        ):  # observations of an environment are made without the NPC, see `hide`
+        # observations of an environment are made without the NPC, see `hide`
+        if isinstance(seen, Observation):
             seen = changed(seen, self.npc, None) if self.npc in seen.ids else seen
             seen = seen.replace(
                 crossing=tuple([each for each in seen.crossing if each.id != self.npc])

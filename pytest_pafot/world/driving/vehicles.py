@@ -244,9 +244,8 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
         raise TypeError(f"{seen.__name__}.__init__ does not set {', '.join(lacking)}")
     for name in vars(plain).keys() & STATE:
         setattr(made, name, getattr(made, name))
-    constants = dict[
-        str, Any
-    ]()  # base classes come first, so that derived classes override their constants
+    # base classes come first, so that derived classes override their constants
+    constants = dict[str, Any]()
     for each in reversed(seen.__mro__):
         constants = {name: value for name, value in constants.items() if name not in vars(each)}
         constants |= changed.get(each, {})
@@ -273,13 +272,11 @@ class Traffic:
             made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
             vars(made).update(traffic.constants, LENGTH=body.length, WIDTH=body.width)
             made.diagonal = np.hypot(body.length, body.width)
-            made.check_collisions = (
-                traffic.seen is not StockVehicle
-            )  # a StockVehicle must not react to contacts
+            # a StockVehicle must not react to contacts
+            made.check_collisions = traffic.seen is not StockVehicle
             self.vehicles.append(made)
-            stock_road.vehicles.append(
-                made
-            )  # one by one, because a class may look for other vehicles
+            # one by one, because a class may look for other vehicles
+            stock_road.vehicles.append(made)
             if self._is_controlled and isinstance(npc, CrossingNpc) and (route or is_regulated):
                 *end, heading = npc.track.pose((len(npc.track.parts) - 1) * STEP)
                 made.plan_route_to(self._network.get_closest_lane_index(np.array(end), heading)[1])
@@ -479,10 +476,8 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     ):
         after = [(end, node) for node in graph.get(end, {})]
         before = [(node, origin) for node, ends in graph.items() if origin in ends]
-        for section in (
-            *after,
-            *before,
-        ):  # the lanes that follow and the lanes that lead here, if IDM looks there
+        # the lanes that follow and the lanes that lead here, if IDM looks there
+        for section in (*after, *before):
             count = len(graph[section[0]][section[1]])
             index = (*section, lane if lane < count else 0)
             begins = lanes[origin, end, lane].length if section in after else -lanes[index].length

@@ -184,9 +184,8 @@ def _drive_beside(
     env.controlled_vehicles = [ego]
     env.define_spaces()
     env.observation_type.observe = lambda: 0.0
-    if type(env).__module__.startswith(
-        "highway_env."
-    ):  # nothing reads its rewards, which may need an action
+    # nothing reads its rewards, which may need an action
+    if type(env).__module__.startswith("highway_env."):
         env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:

@@ -145,9 +145,8 @@ class StockPolicy(GuardedDriver):
         # An exception of a wrapper is raised again in the next decision.
         try:
             self._seen, *others = result = call()
-            self.is_over = len(others) != 1 and _has_ended(
-                result
-            )  # a reset returns only one more value, the info
+            # a reset returns only one more value, the info
+            self.is_over = len(others) != 1 and _has_ended(result)
         except UNFIT as error:
             if self.outer is self.outer.unwrapped or isinstance(error, AdsHang):
                 raise
@@ -170,12 +169,10 @@ def _reset_in_place(
 
     # highway-env's `_reset` would make new vehicles, so this function replaces it.
     def in_place_of_the_reset() -> None:
-        plain.road.objects = list(
-            objects
-        )  # a copy, because the environment's own `reset` may add objects
-        if type(plain.vehicle) is usual_class(
-            plain.action_type
-        ):  # a reset may have drawn the speeds
+        # a copy, because the environment's own `reset` may add objects
+        plain.road.objects = list(objects)
+        # a reset may have drawn the speeds
+        if type(plain.vehicle) is usual_class(plain.action_type):
             give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
 
     def in_place_of_highway_envs(
@@ -222,10 +219,8 @@ def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
         "simulation_frequency": rules.physics_hz,
         "policy_frequency": rules.ads_hz,
         "action": {"type": "ContinuousAction"},
-        "observation": {
-            "type": "AttributesObservation",
-            "attributes": (),
-        },  # unused, so this is the fastest type
+        # unused, so this is the fastest type
+        "observation": {"type": "AttributesObservation", "attributes": ()},
     }
     env, _ = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(
@@ -274,9 +269,8 @@ def replay_environment(
             HangGuard(rules.hang_limit),
         )
         driver = StockPolicy(ads.policy, seen, ego, rules.every, guard, view)
-        limit = (
-            environment.step_limit if environment.wrappers is None else None
-        )  # any wrappers count the steps
+        # any wrappers count the steps
+        limit = environment.step_limit if environment.wrappers is None else None
         vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
         return _Loop(vehicles, env, driver, guard, traffic, objects, limit).run()
 
@@ -290,9 +284,8 @@ def _reset(
     """
     env = outer.unwrapped
     if environment is not None:
-        env.config |= copy.deepcopy(
-            environment.config_of_wrappers
-        )  # because this reset makes the road
+        # because this reset makes the road
+        env.config |= copy.deepcopy(environment.config_of_wrappers)
     objects, put = list[Any](), env._reset
 
     def noting_objects() -> None:
@@ -396,9 +389,8 @@ class EpisodeEnds(OwnEnds):
         else:
             if loop.tick == self.asked:  # a user's step that simulates nothing
                 self._simulate()
-            if (
-                not self.has_failed
-            ):  # keep the name of a method that ended it, unless a wrapper continues
+            # keep the name of a method that ended it, unless a wrapper continues
+            if not self.has_failed:
                 self.ended = (self.ended or end_of(self._outer)) if is_over else ""
         return self._error
 
@@ -558,9 +550,8 @@ class _Loop:
     def _drive(self) -> None:
         driver, loop, around = self._driver, self._run.loop, self._around
         if isinstance(driver, StockPolicy):
-            hold = partial(
-                self._make_npcs, "held"
-            )  # some environments slow their traffic down in `reset`
+            # some environments slow their traffic down in `reset`
+            hold = partial(self._make_npcs, "held")
             driver.begin(around, self._run.scenario.seed, self._objects, hold)
             self._make_npcs("seen")
             self._hz = self._rate()
@@ -704,9 +695,8 @@ class _Loop:
             driver.actuate()
             if isinstance(driver, PlannerDriver):
                 vehicle.control(ego.acceleration, ego.steering)
-            if (
-                self._road_act is not None
-            ):  # the ego has acted, and a user's class may act only once
+            # the ego has acted, and a user's class may act only once
+            if self._road_act is not None:
                 act = vehicle.act
                 vehicle.act = lambda action=None: None if action is None else act(action)
                 self._road_act()
@@ -730,9 +720,8 @@ class _Loop:
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
                 follow(body, vehicle)
         except UNFIT as error:
-            if (
-                isinstance(error, AdsHang) and self._around.interruption is not None
-            ):  # it interrupts the whole step
+            # it interrupts the whole step
+            if isinstance(error, AdsHang) and self._around.interruption is not None:
                 raise
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed

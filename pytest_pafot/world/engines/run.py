@@ -164,9 +164,8 @@ class VehiclesOfRun:
         other = states[-1, npc + 1]
         positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
         both = states[-1, [0, npc + 1]]
-        course = both[:, HEADING] + np.arctan(
-            0.5 * np.tan(both[:, STEERING])
-        )  # a vehicle with turned wheels slips
+        # a vehicle with turned wheels slips
+        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))
         velocity = both[:, SPEED] * np.array([np.cos(course), np.sin(course)])
         return Collision(
             tick=tick,

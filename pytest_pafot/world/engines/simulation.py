@@ -266,9 +266,8 @@ class RepeatedBody(Body):
     def step(self, dt: float) -> None:
         driver = self.repeats
         if driver is not None and self._tick < self._until:
-            self.steering = (
-                self._steering
-            )  # of the last decision; the driver that takes over has changed it
+            # of the last decision; the driver that takes over has changed it
+            self.steering = self._steering
             if self._tick % driver.every == 0:
                 driver.decide(self._tick)
             driver.actuate()
@@ -341,9 +340,8 @@ class NativeDriver(PlannerDriver):
     def _check_action(self, action: Any) -> Any:
         simulator = self._loop.simulation.simulator
         try:
-            Simulator.check_action(
-                simulator, action
-            )  # rejects None, even if the user's method does not
+            # rejects None, even if the user's method does not
+            Simulator.check_action(simulator, action)
             checked = simulator.check_action(action)
         except ValueError as error:
             raise BadAction(str(error)) from error
@@ -585,15 +583,13 @@ class Simulators:
         self._free: list[Any] = []
         if is_first:
             atexit.register(self.close_all)
-            if (
-                parent_process() is not None
-            ):  # multiprocessing ends its processes without calling atexit functions
+            # multiprocessing ends its processes without calling atexit functions
+            if parent_process() is not None:
                 Finalize(None, self.close_all, exitpriority=0)
         self._all.add(self)
 
-    def __del__(
-        self,
-    ) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
+    # in the callback of a weak reference, nothing could interrupt a close that hangs
+    def __del__(self) -> None:
         if self._free:  # at the interpreter's end, all are closed, and _close is gone
             _close(self._process, self._free)
 
@@ -602,9 +598,8 @@ class Simulators:
         return Simulators, (self._make,)
 
     def take(self) -> Any:
-        if (
-            self._process != getpid()
-        ):  # the other process still uses its simulators, so they are not closed
+        # the other process still uses its simulators, so they are not closed
+        if self._process != getpid():
             self.__init__(self._make)  # type: ignore[misc]
         if self._free:
             return self._free.pop()

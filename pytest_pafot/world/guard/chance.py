@@ -121,9 +121,8 @@ class _Generators:
     def begin(self) -> None:
         """Forget the saved states and the results of earlier runs."""
         self._saved: list[tuple[_Generator, Any]] = []
-        self._others: list[
-            Callable[[], float]
-        ] = []  # generators with the shared seed; empty if runs share none
+        # generators with the shared seed; empty if runs share none
+        self._others: list[Callable[[], float]] = []
         self._may_share = True
 
     @contextmanager

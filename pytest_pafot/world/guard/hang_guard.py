@@ -176,9 +176,8 @@ class HangGuard:
         self.started: float | None = None
         # The exception that was raised in the running decision, or its class.
         self.interruption: BaseException | type[BaseException] | None = None
-        self.silence = (
-            limit  # the time for which native code may keep all Python threads from running [s]
-        )
+        # the time for which native code may keep all Python threads from running [s]
+        self.silence = limit
         self._sent = False
         self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
@@ -265,9 +264,8 @@ class HangGuard:
             # The exception must arrive here. If it is cancelled, CPython 3.11 checks for an exception forever, and
             # hangs as soon as a debugger or a coverage tool traces the thread.
             try:
-                for _ in range(
-                    100
-                ):  # an exception for this thread is raised between two instructions of it
+                # an exception for this thread is raised between two instructions of it
+                for _ in range(100):
                     pass
             except (AdsHang, OutOfTime):
                 return
@@ -288,9 +286,8 @@ class HangGuard:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
                     ctypes.c_ulong(self._target), ctypes.py_object(why)
                 )
-            if (
-                why is OutOfTime
-            ):  # If an ADS ignores it, the process need not end, because the limit still applies.
+            # If an ADS ignores it, the process need not end, because the limit still applies.
+            if why is OutOfTime:
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
                 self._ignored = started, now
@@ -319,17 +316,15 @@ class HangGuard:
             if isinstance(outer, HangGuard):  # the guard of an environment in which a decision runs
                 outer._received(number, frame)
             return
-        if (
-            frame is not None and frame.f_globals.get("__name__") in SWALLOWING
-        ):  # the next check comes soon
+        # the next check comes soon
+        if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:
             return
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
             return
         error = why()
-        self.interruption = (
-            self.interruption or error
-        )  # the instance, whose traceback leads into the ADS
+        # the instance, whose traceback leads into the ADS
+        self.interruption = self.interruption or error
         raise error
 
 
@@ -444,9 +439,8 @@ def one_process() -> OneProcess:
 
 
 _WATCHDOG = _Watchdog()
-if hasattr(
-    os, "register_at_fork"
-):  # a forked process has one thread, and locks of other threads stay locked
+# a forked process has one thread, and locks of other threads stay locked
+if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=_WATCHDOG.before_fork,
         after_in_parent=_WATCHDOG.after_fork,
@@ -533,9 +527,8 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
     if isinstance(error, AdsHang):
         guard.decision_ends()
         frames = traceback.extract_tb(_users_part(error))
-        kept = [
-            frame for frame in frames if frame.filename != __file__
-        ]  # without the guard's own frames
+        # without the guard's own frames
+        kept = [frame for frame in frames if frame.filename != __file__]
         where = "".join(
             [
                 "Traceback (most recent call last):\n",
@@ -605,9 +598,8 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
         text = f"{name}: expected {what}, received {received}. This does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
-        except (
-            RuntimeWarning
-        ):  # with `-W error`, it would hide the error of the run, or end pytest's summary
+        # with `-W error`, it would hide the error of the run, or end pytest's summary
+        except RuntimeWarning:
             with warnings.catch_warnings():
                 warnings.simplefilter("always")
                 warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -20,12 +20,10 @@ EGO_BRAKING = 9.81
 EGO_STEERING = math.pi / 4
 """The maximum steering angle [rad] of an ego."""
 
-KP_SPEED = (
-    1.0 / 0.6
-)  # acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
-STEEPEST = (
-    math.pi / 4
-)  # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
+# acceleration per unit of speed error, as in highway-env's ControlledVehicle [1/s]
+KP_SPEED = 1.0 / 0.6
+# largest angle to the lane at which highway-env's vehicles approach its centre [rad]
+STEEPEST = math.pi / 4
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
 """The default limits on lateral acceleration [m/s^2] and lateral jerk [m/s^3] in a :class:`LaneCommand`.

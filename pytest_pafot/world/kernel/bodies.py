@@ -11,10 +11,10 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
-COLUMNS = (
-    7  # values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
-)
-MAX_SPEED = TOP_SPEED  # both forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
+# values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+COLUMNS = 7
+# both forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
+MAX_SPEED = TOP_SPEED
 
 
 class Box:
@@ -35,9 +35,8 @@ class Body(Box):
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
         self.length = length
         self.width = width
-        self.lane = (
-            0  # nearest lane, updated after all bodies have moved; not used for crossing vehicles
-        )
+        # nearest lane, updated after all bodies have moved; not used for crossing vehicles
+        self.lane = 0
 
     def place(self, x: float, y: float, heading: float, speed: float) -> None:
         """Set the position [m], the heading [rad] and the speed [m/s]."""

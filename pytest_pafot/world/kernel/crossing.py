@@ -30,26 +30,25 @@ from pytest_pafot.world.kernel.driver import (
 from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
-FREEZE = (
-    3.0  # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
-)
+# time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
+FREEZE = 3.0
 # The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
 # NPC would wait for an ego that itself waits.
 SLOWEST, FASTEST = 0.5, 1.3
 PASS, HOLD, STOP, LATE = range(4)  # acts of an NPC at its zone, in the order of ACTS
-MARGIN = 1.0  # distance before a conflict at which an NPC waits until the ego or another NPC has passed [m]
+# distance before a conflict at which an NPC waits until the ego or another NPC has passed [m]
+MARGIN = 1.0
 SETTING_OFF = 1.1  # time that a waiting NPC needs to reach its zone [s]
 # reaction time to an ego that has entered the NPC's zone [s], and hardest braking in that reaction [m/s^2]
 RESPONSE, ANSWER = 1.0, 6.0
 # when an NPC must decide whether it can still stop: the time in which braking builds up [s], and the braking [m/s^2]
 BUILDING_UP, BRAKING = 0.4, 5.0
-LEAST_SPEED = 0.5  # lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
+# lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
+LEAST_SPEED = 0.5
 ABREAST = 2.0  # distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
-UNENDING, NOWHERE = (
-    math.inf,
-    float("nan"),
-)  # unlike math.inf and math.nan, these are C numbers in compiled code
+# unlike math.inf and math.nan, these are C numbers in compiled code
+UNENDING, NOWHERE = math.inf, float("nan")
 
 
 class SharedPlace:
@@ -66,7 +65,8 @@ class LeaderAhead:
 
     def __init__(self, other: int, places: array[float]) -> None:
         self.other = other
-        self.places = places  # position on the NPC's path of each point of the vehicle's path [m]; NaN if not on it
+        # position on the NPC's path of each point of the vehicle's path [m]; NaN if not on it
+        self.places = places
 
     def place(self, along: float) -> float:
         """Convert a position [m] on the vehicle's path to a position on the NPC's path, or to NaN."""
@@ -95,19 +95,16 @@ class CrossingNpc(Body):
         # slot of the instruction [s], start along the path [m], and largest lateral acceleration at the start [m/s^2]
         self.slot = self.begins = self.turning = 0.0
         self.track = track
-        self.enters, self.leaves = (
-            zone  # positions along its path at which it enters and leaves its zone [m]
-        )
-        self.ego_enters, self.ego_leaves = (
-            ego_zone  # the same for the ego, along the ego's path [m]
-        )
+        # positions along its path at which it enters and leaves its zone [m]
+        self.enters, self.leaves = zone
+        # the same for the ego, along the ego's path [m]
+        self.ego_enters, self.ego_leaves = ego_zone
         self.act = act
         self.middle = middle  # position at which it stops if its act is STOP [m]
         self.wanted = speed  # speed of the instruction [m/s]
         self.speeds = array("d", speeds)  # planned speed at each point [m/s]
-        self.times = array("d", [0.0]) * len(
-            speeds
-        )  # planned time from the first point to each point [s]
+        # planned time from the first point to each point [s]
+        self.times = array("d", [0.0]) * len(speeds)
         self._plan()
         self.asked = 0.0  # acceleration in the previous tick [m/s^2]
         self.course = 0.0  # direction of motion after the previous tick's steering [rad]
@@ -185,10 +182,8 @@ class JunctionDirector(BaseDirector):
         ]
         super().__init__(npcs)
         self._crossing = [npc for npc in self.npcs if isinstance(npc, CrossingNpc)]
-        self._vehicles = [
-            Body(CAR.length, CAR.width),
-            *self.npcs,
-        ]  # `command` replaces the first with the ego
+        # `command` replaces the first with the ego
+        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]
         self._relations = [self._related(number) for number in range(len(self._vehicles))]
         for npc in self._crossing:
             npc.conflicts, npc.leaders = self._relations[npc.index + 1]
@@ -285,9 +280,8 @@ class JunctionDirector(BaseDirector):
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
-        turn = (
-            math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
-        )  # just after a bend, there is still slip
+        # just after a bend, there is still slip
+        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
         return along, (
             *track.pose(along),
@@ -334,9 +328,8 @@ class JunctionDirector(BaseDirector):
         fastest = track.value(track.speed, npc.x)
         wanted = min(npc.wanted, fastest)
         if npc.entered == NEVER and npc.act in (PASS, STOP):
-            gained = (
-                max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)
-            )  # until the accelerator is released
+            # until the accelerator is released
+            gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)
             wanted = min(wanted * self._speed_factor(npc, ego), fastest - gained)
         npc.stands_at = UNENDING  # set below if the NPC waits
         if npc.act == STOP:
@@ -379,9 +372,8 @@ class JunctionDirector(BaseDirector):
                     if npc.slot < 0.0
                     else (first + last - crossing) / 2.0
                 )
-            if (
-                npc.act != LATE
-            ):  # limited to a time that the NPC can reach within SLOWEST and FASTEST
+            # limited to a time that the NPC can reach within SLOWEST and FASTEST
+            if npc.act != LATE:
                 left = npc.lasts(npc.x, npc.enters)
                 due = min(max(due, left / FASTEST), left / SLOWEST)
             npc.entry = now + due
@@ -393,9 +385,8 @@ class JunctionDirector(BaseDirector):
         if not npc.ego_enters < ego.x < npc.ego_leaves:
             npc.noticed = 0
             return False
-        if (
-            npc.noticed == 0
-        ):  # no reaction if the ego leaves in time, or if the NPC can no longer stop
+        # no reaction if the ego leaves in time, or if the NPC can no longer stop
+        if npc.noticed == 0:
             stays = (npc.ego_leaves - ego.x) / max(ego.speed, 0.1)
             comes = npc.lasts(npc.x, npc.enters) * self._slowness(npc)
             room = npc.enters - npc.x - RESPONSE * npc.speed

@@ -40,7 +40,8 @@ from pytest_pafot.world.limits import NpcLimits
 ARRIVED_LATERAL = 0.5
 # lowest speed of an NPC that changes lanes ahead of a stationary ego, because a car cannot move sideways [m/s]
 CREEP_SPEED = 3.0
-BESIDE = 0.6  # smallest lateral gap of NPCs that drive side by side [m]; at a smaller gap, each obstructs the other
+# smallest lateral gap of NPCs that drive side by side [m]; at a smaller gap, each obstructs the other
+BESIDE = 0.6
 NO_LANE = -1
 
 Start = tuple[float, tuple[float, float, float, float]]
@@ -49,7 +50,8 @@ Start = tuple[float, tuple[float, float, float, float]]
 
 # The following numbers are for attentive traffic. Verdicts do not expect more of an NPC when the ego moves in ahead of
 # the NPC, or brakes there for no reason.
-TRACK = 0.3  # lateral gap to the ego's box up to which an NPC counts as directly behind or ahead of the ego [m]
+# lateral gap to the ego's box up to which an NPC counts as directly behind or ahead of the ego [m]
+TRACK = 0.3
 REACTION = 1.0  # reaction time of an NPC to unexpected behaviour of the ego [s]
 ANSWER = 6.0  # hardest braking of an NPC in that reaction [m/s^2]
 # reaction time and braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]
@@ -58,15 +60,15 @@ ENTRY_GAP = 1.5  # smallest gap at which an NPC moves in behind an ego of equal 
 NOT_BEHIND = -1
 
 # The following numbers are for roads with bends.
-LOOK_AHEAD = (
-    3.0  # driving time for which a lane must continue so that an NPC enters it or stays in it [s]
-)
+# driving time for which a lane must continue so that an NPC enters it or stays in it [s]
+LOOK_AHEAD = 3.0
 # The proportion of the largest angle to a lane that an NPC uses relative to its target lane. The rest is a reserve,
 # because the lane that the NPC leaves has a slightly different direction at the start and end of a bend.
 HEADING_SHARE = 0.9
 # proportion of an NPC's lateral acceleration for following a bend while the NPC speeds up in a lane change
 CHANGING_SHARE = 0.3
-BETWEEN_LANES = 0.5  # distance from the centre of the target lane above which an NPC is still changing lanes [m]
+# distance from the centre of the target lane above which an NPC is still changing lanes [m]
+BETWEEN_LANES = 0.5
 
 
 class Npc(Body):
@@ -78,9 +80,8 @@ class Npc(Body):
         self.limits: Any = None
         self.bends: Any = None  # the road with this NPC's speeds and leans; None on a straight road
         self.top_speed = self.half_lengths = self.longer = self.lateral = 0.0
-        self.index = (
-            index  # index of the chain in the director's scenario, which has no crossing NPCs
-        )
+        # index of the chain in the director's scenario, which has no crossing NPCs
+        self.index = index
         self.chain: tuple[Any, ...] = chain
         self.executed: list[Any] = []  # cells or lanes of the started genes
         self.arrivals: list[int | None] = []  # tick of the arrival in each started gene, or None
@@ -88,9 +89,8 @@ class Npc(Body):
         self.column = 0
         self.target = 0.0  # distance from the ego to the cell's centre along the road [m]
         self.target_speed = 0.0
-        self.kept_lane = (
-            NO_LANE  # lane that is kept until the gene ends, after arrival or without a target lane
-        )
+        # lane that is kept until the gene ends, after arrival or without a target lane
+        self.kept_lane = NO_LANE
         self.kept_speed = 0.0  # desired speed in the kept lane or the shift lane [m/s]
         self.shift_lane = NO_LANE  # target lane of a Lane-Instruction
         self.heading_for = 0  # lane to which the NPC steered in the previous tick
@@ -164,16 +164,14 @@ class Director(BaseDirector):
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         traffic = STYLES[scenario.traffic]
-        self._row = self._far = (
-            0.0  # largest half_lengths, and distance from which no NPC follows another [m]
-        )
+        # largest half_lengths, and distance from which no NPC follows another [m]
+        self._row = self._far = 0.0
         self._is_mixed = bool(scenario.vehicles)
         self._aside = CAR.width + BESIDE
         before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
-            if (
-                kind is not before
-            ):  # equal vehicles share a controller, which keeps no state between two calls
+            # equal vehicles share a controller, which keeps no state between two calls
+            if kind is not before:
                 before, own = kind, limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(
@@ -194,18 +192,15 @@ class Director(BaseDirector):
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._easing = -speed_for_braking(
-            traffic.braking, 0.0
-        )  # largest reduction of the current speed [m/s]
+        # largest reduction of the current speed [m/s]
+        self._easing = -speed_for_braking(traffic.braking, 0.0)
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._kept = (
-            self._reaction + 1
-        )  # number of stored ticks; the ego's braking is computed from two speeds
+        # number of stored ticks; the ego's braking is computed from two speeds
+        self._kept = self._reaction + 1
         if self._attentive:
-            self._seen = array("d", [0.0]) * (
-                2 * self._kept
-            )  # a ring buffer of the ego's x and speed
+            # a ring buffer of the ego's x and speed
+            self._seen = array("d", [0.0]) * (2 * self._kept)
         self._tick = 0
         self._gene = 0
         self._left = 0
@@ -256,7 +251,8 @@ class Director(BaseDirector):
             self._left = self._gene_ticks
             if self._gene < self._genes:
                 self._begin_gene(ego)
-                for npc in self.npcs:  # an NPC keeps lane and speed after the end of a shorter chain (paper, section 2)
+                # an NPC keeps lane and speed after the end of a shorter chain (paper, section 2)
+                for npc in self.npcs:
                     if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
                         npc.kept_lane = npc.lane
                         npc.kept_speed = npc.speed
@@ -278,9 +274,8 @@ class Director(BaseDirector):
     def _remember(self, ego: Body) -> None:
         # Store the ego's position and speed, for delayed reactions of NPCs.
         seen = self._seen
-        if (
-            self._tick == 0
-        ):  # before the first tick, the ego is assumed to have driven at its start speed
+        # before the first tick, the ego is assumed to have driven at its start speed
+        if self._tick == 0:
             for place in range(1, self._kept):
                 driven = (self._kept - place) * self._delay / self._reaction * ego.speed
                 seen[2 * place] = ego.x - driven / self._stretch(ego)
@@ -315,9 +310,8 @@ class Director(BaseDirector):
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
-        for npc in (
-            self._in_lanes
-        ):  # if the lane of a Lane-Instruction does not exist, the NPC keeps its lane
+        # if the lane of a Lane-Instruction does not exist, the NPC keeps its lane
+        for npc in self._in_lanes:
             if gene < len(npc.chain):
                 instruction = npc.chain[gene]
                 wanted_lane = npc.lane + instruction.column
@@ -381,9 +375,8 @@ class Director(BaseDirector):
         # The position [m] along the road of an attentive NPC's cell, relative to the ego.
         if npc.row == 0 or npc.column != 0:
             return npc.target
-        if (
-            npc.row < 0
-        ):  # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
+        # in the ego's lane: an NPC behind the ego follows it, and an NPC ahead needs room to move in
+        if npc.row < 0:
             return -(npc.half_lengths + max(self._clearance, following_gap(ego.speed)))
         return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
@@ -418,13 +411,12 @@ class Director(BaseDirector):
         # The NPC expects an ego behind another NPC to brake, and reacts immediately. Otherwise, it reacts late.
         is_led = self._is_led(ego)
         x, ego_speed = ego.x, ego.speed
-        ahead = 0.0  # expected distance that the ego has driven since then, if it is still braking as before [m]
+        # expected distance that the ego has driven since then, if it is still braking as before [m]
+        ahead = 0.0
         if not is_led and self._tick > 0:
             seen = self._seen
-            before, place = (
-                self._tick % self._kept,
-                (self._tick + 1) % self._kept,
-            )  # the two oldest entries
+            # the two oldest entries
+            before, place = self._tick % self._kept, (self._tick + 1) % self._kept
             x, ego_speed = seen[2 * place], seen[2 * place + 1]
             gained = ego_speed - seen[2 * before + 1]
             braking = max(-gained * self._reaction / self._delay, 0.0)
@@ -434,9 +426,8 @@ class Director(BaseDirector):
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
-        safe = following_speed(
-            gap, max(ego_speed, 0.0), npc.speed
-        )  # a reversing ego counts as stationary
+        # a reversing ego counts as stationary
+        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)
         if not is_led:
             safe = max(safe, speed_for_braking(ANSWER, npc.speed))
         return min(speed, safe)
@@ -480,7 +471,8 @@ class Director(BaseDirector):
         step = lane + 1 if target_lane > lane else lane - 1
         beside_ego = abs(npc.x - ego.x) < npc.half_lengths + self._clearance / 2.0
         if step == ego.lane and (beside_ego or (self._attentive and not self._may_enter(npc, ego))):
-            return lane  # an NPC moves in ahead of the ego or behind it, but does not steer into its side
+            # an NPC moves in ahead of the ego or behind it, but does not steer into its side
+            return lane
         for other in self.npcs:  # an NPC enters only a lane with room
             if other is not npc and not self._clear_of(npc, other, step):
                 return lane
@@ -598,9 +590,8 @@ class NetworkDirector(Director):
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         distance = front.x - rear.x
-        distance *= min(
-            self._stretch(front), self._stretch(rear)
-        )  # in a bend, the shorter distance counts
+        # in a bend, the shorter distance counts
+        distance *= min(self._stretch(front), self._stretch(rear))
         return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
@@ -614,14 +605,12 @@ class NetworkDirector(Director):
         if self.others is not None:  # crossing NPCs, bends and ends of lanes limit the speed
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
-        gained = (
-            asked * asked / (2.0 * self._jerk)
-        )  # speed gained while the accelerator is released
+        # speed gained while the accelerator is released
+        gained = asked * asked / (2.0 * self._jerk)
         wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
         wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
-        if (
-            abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES
-        ):  # an NPC that is turned outwards must turn back
+        # an NPC that is turned outwards must turn back
+        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:
             changing = math.sqrt(
                 CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9)
             )

@@ -13,7 +13,8 @@ from pytest_pafot.world.limits import NpcLimits
 
 SPEED_GAIN = 1.5  # acceleration per unit of speed error [1/s]
 GAP_GAIN = 0.7  # speed relative to the ego, per metre of distance to the cell's centre [1/s]
-GAP_BRAKING = 2.5  # planned deceleration relative to the ego on the way to a distant cell, to avoid overshoot [m/s^2]
+# planned deceleration relative to the ego on the way to a distant cell, to avoid overshoot [m/s^2]
+GAP_BRAKING = 2.5
 LATERAL_GAIN = 1.4  # lateral speed per metre of distance to the lane's centre [1/s]
 # turning rate per unit of heading error [1/s]; reduced if long ticks would make the control unstable
 HEADING_GAIN = 5.0
@@ -28,7 +29,8 @@ FOLLOWING_TIME = 0.4  # time in which braking builds up [s]
 FOLLOWING_BRAKING = 5.0  # braking that an NPC assumes for its leader and for itself [m/s^2]
 CAR_LENGTH = CAR.length  # [m]; unlike CAR.length, it is a C number in compiled code
 MAX_SLIP = 0.4  # largest slip angle, which limits the steering of the wheels [rad]
-LEAST_SPARE = 0.15  # proportion of the lateral acceleration that a lane change may always use, even in a sharp bend
+# proportion of the lateral acceleration that a lane change may always use, even in a sharp bend
+LEAST_SPARE = 0.15
 
 # The following numbers are for a LaneCommand, which also limits lateral jerk. They were found by trial: no lane change
 # overshoots, regardless of speed, frequency and limits. Larger numbers save at most a tenth of the time, but cause
@@ -37,9 +39,11 @@ LANE_ANGLE = 0.5
 """The largest angle [rad] to the lane during a LaneCommand's lane change, equal to the default limit for NPCs."""
 # proportion of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan
 TRACKING_SHARE = 0.4
-TRACKING_GAIN = 4.0  # lateral acceleration per unit of lateral speed error [1/s]; at most 0.5 / dt, for stability
+# lateral acceleration per unit of lateral speed error [1/s]; at most 0.5 / dt, for stability
+TRACKING_GAIN = 4.0
 CLOSEST_GAIN = 3.0  # highest planned lateral speed per metre of distance to the lane's centre [1/s]
-SPEEDING_UP = 6.0  # assumed acceleration along the road during a lane change, which is an ego's maximum [m/s^2]
+# assumed acceleration along the road during a lane change, which is an ego's maximum [m/s^2]
+SPEEDING_UP = 6.0
 # A length that limits the planned lateral acceleration to cbrt(length * jerk^2) [m]. A higher acceleration would take
 # so long to build up that the lane change would be slower. The length was found by trial on lanes 4 m wide.
 USEFUL_WIDTH = 2.5
@@ -141,9 +145,8 @@ class NpcDriver:
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
-        lowest = (
-            lowest if lowest > -self._braking else -self._braking
-        )  # max() is slower if interpreted
+        # max() is slower if interpreted
+        lowest = lowest if lowest > -self._braking else -self._braking
         acceleration = lowest if acceleration < lowest else acceleration
         acceleration = highest if acceleration > highest else acceleration
         # Near the top speed, the acceleration stays low enough to fall to zero in time within the jerk limit. See
@@ -153,9 +156,8 @@ class NpcDriver:
         if speed + acceleration * self._dt < 0.0:
             acceleration = -speed / self._dt
             while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
-                acceleration = math.nextafter(
-                    acceleration, math.inf
-                )  # not 0, because a simulator may have reversed it
+                # not 0, because a simulator may have reversed it
+                acceleration = math.nextafter(acceleration, math.inf)
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
@@ -217,9 +219,8 @@ class NpcDriver:
         bound = max(min(bound, self._swing), 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
         wanted = math.copysign(min(wanted, bound), -offset)
-        fastest = (
-            self._lateral_limit / speed
-        )  # Neither the heading nor the course may turn faster than this.
+        # Neither the heading nor the course may turn faster than this.
+        fastest = self._lateral_limit / speed
         rate = clamp(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamp(rate * self._half_length / speed, MAX_SLIP))
         most = max(self._most - abs(lean), 0.0)

@@ -24,18 +24,14 @@ from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.kernel.places import Places
 
-ON_LANE = (
-    1.0  # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
-)
-LANE_ENDS = (
-    5.0  # distance past a lane's ends within which a vehicle still counts as in the lane [m]
-)
+# distance outside a lane's lines within which a vehicle still counts as in the lane [m]
+ON_LANE = 1.0
+# distance past a lane's ends within which a vehicle still counts as in the lane [m]
+LANE_ENDS = 5.0
 NOWHERE = float("nan")
 PURSUIT = 0.1  # time by which a vehicle looks ahead along its lane to steer [s]
-MOMENTS, APART = (
-    11,
-    0.25,
-)  # number of moments at which highway-env predicts vehicles, and time between them [s]
+# number of moments at which highway-env predicts vehicles, and time between them [s]
+MOMENTS, APART = 11, 0.25
 LONGER, NARROWER = 1.5, 0.9  # factors for a vehicle's length and width in these predictions
 
 
@@ -75,9 +71,8 @@ class GoalVehicle(Body):
         self._changes_lanes = changes_lanes
         self.closest = self.goal = self._find_lane(self)
         self.target_speed = speed
-        self.timer = (
-            (x + y) * math.pi
-        ) % self._delay  # as in highway-env, so that vehicles decide at different times
+        # as in highway-env, so that vehicles decide at different times
+        self.timer = ((x + y) * math.pi) % self._delay
 
     def pursue(self) -> None:
         """Set the controls for the coming tick so that the vehicle pursues its goal, regardless of other vehicles."""
@@ -87,9 +82,8 @@ class GoalVehicle(Body):
 
     def act(self, others: list[Body]) -> None:
         """Set the controls for the coming tick, with IDM and MOBIL if the vehicle drives itself."""
-        if (
-            not self.drives_itself
-        ):  # its goal or its controls are set from outside, for example by meta-actions
+        # its goal or its controls are set from outside, for example by meta-actions
+        if not self.drives_itself:
             if self.has_goal:
                 self.pursue()
             return
@@ -98,9 +92,8 @@ class GoalVehicle(Body):
             self._choose_lane(others)
         self.steering = self._steering()
         acceleration = self._idm(self, self._ahead(others, self.closest))
-        if (
-            self.closest != self.goal
-        ):  # during a lane change, it brakes for the vehicle ahead in either lane
+        # during a lane change, it brakes for the vehicle ahead in either lane
+        if self.closest != self.goal:
             there = self._idm(self, self._ahead(others, self.goal))
             acceleration = min(acceleration, there)
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
@@ -142,9 +135,8 @@ class GoalVehicle(Body):
     def _gains(self, lane: int, others: list[Body]) -> bool:
         """Return whether MOBIL recommends changing to a lane."""
         ahead, behind = self._ahead(others, lane), self._behind(others, lane)
-        behind_then = self._idm(
-            behind, self
-        )  # the new follower must not brake hard, even if a route requires it
+        # the new follower must not brake hard, even if a route requires it
+        behind_then = self._idm(behind, self)
         if behind_then < -self._max_imposed:
             return False
         left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
@@ -361,9 +353,8 @@ class EgosRoadRules:
         self._steps = steps
         self._every = every
         self._lasts = lasts
-        self._predicted = array("d", [0.0]) * (
-            6 * MOMENTS
-        )  # x, y and heading at each moment, for ego and NPC
+        # x, y and heading at each moment, for ego and NPC
+        self._predicted = array("d", [0.0]) * (6 * MOMENTS)
 
     def apply_to_ego(self) -> None:
         """Count a step of the road. If a decision is due, make the ego yield or continue."""

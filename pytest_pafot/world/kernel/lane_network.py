@@ -14,9 +14,8 @@ import numpy as np
 
 SINE, CIRCULAR = 1, 2  # kinds of lanes; a straight lane is 0
 LANE_VALUES = 9  # values per lane in `shapes`; see Network
-LANE_ENDS = (
-    5.0  # distance past the ends of a lane within which a vehicle still counts as in the lane [m]
-)
+# distance past the ends of a lane within which a vehicle still counts as in the lane [m]
+LANE_ENDS = 5.0
 # highway-env's names for the features of a vehicle, in the order in which Table stores them
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
@@ -182,9 +181,8 @@ class Table:
         features = options.features
         self._network = network
         self._lanes = lanes
-        self._values = array(
-            "d", [0.0] * len(FEATURES)
-        )  # features of the vehicle that was read last
+        # features of the vehicle that was read last
+        self._values = array("d", [0.0] * len(FEATURES))
         self._has_destination = "cos_d" in features or "sin_d" in features
         self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
         self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
@@ -248,9 +246,8 @@ class Table:
                 if behind < ahead or (self._sees_behind and index < count):
                     found.append((abs(ahead), index, other))
         found.sort()
-        return (
-            found[: self._count - 1] if self._count > 1 else found
-        )  # in highway-env, 0 other vehicles means no limit
+        # in highway-env, 0 other vehicles means no limit
+        return found[: self._count - 1] if self._count > 1 else found
 
     def _read(self, vehicle: Any, is_object: bool) -> None:
         values, heading = self._values, vehicle.heading

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 from pytest_pafot.world.kernel.bodies import Body
 
-ALMOST = 1e-6  # distance from a lane line below which rounding matters, so that all lanes are compared [m]
+# distance from a lane line below which rounding matters, so that all lanes are compared [m]
+ALMOST = 1e-6
 
 
 class Lanes:
@@ -84,9 +85,8 @@ class Bends:
         lane_width: float,
     ) -> None:
         x, y, heading = line
-        exists, part = (
-            flags  # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
-        )
+        # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
+        exists, part = flags
         # At each point of a lane: the distance to the right of the line [m], the direction [rad], the lean of a vehicle
         # in the lane [rad], the highest speed of NPCs [m/s], and the largest curvature during a lane change [1/m].
         across, direction, lean, speed, sharpest = shape
@@ -100,18 +100,14 @@ class Bends:
         self._lanes = len(exists) // len(x)
         self._end = (len(x) - 1) * STEP
         self._lane_width = lane_width  # width of the ego's lane at the start [m]
-        self.along = self.across = self.angle = self.offset = (
-            0.0  # results of `locate` [m, m, rad, m]
-        )
+        # results of `locate` [m, m, rad, m]
+        self.along = self.across = self.angle = self.offset = 0.0
         self.lane = 0
         self._share = self._x0 = self._y0 = self._direction0 = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        line = (
-            list(self._x),
-            list(self._y),
-            list(self._heading),
-        )  # pickled when worlds are sent to other processes
+        # pickled when worlds are sent to other processes
+        line = list(self._x), list(self._y), list(self._heading)
         flags = list(self._exists), list(self._part)
         shape = (
             list(self._across),
@@ -189,9 +185,8 @@ class Bends:
         """Return the distance that a vehicle covers per metre of the line: above 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
-        return max(
-            1.0 - bend * across, 0.2
-        )  # without the limit, zero or negative past the centre of a bend
+        # without the limit, zero or negative past the centre of a bend
+        return max(1.0 - bend * across, 0.2)
 
     def _refer(self, along: float) -> None:
         index = self._between(along)
@@ -207,9 +202,8 @@ class Bends:
         ``near`` is a position [m] close to the vehicle, which is needed because a road can cross itself.
         """
         along = near
-        for _ in range(
-            4
-        ):  # each step projects onto the tangent at the last position, which converges even in bends
+        # each step projects onto the tangent at the last position, which converges even in bends
+        for _ in range(4):
             self._refer(along)
             cos, sin = math.cos(self._direction0), math.sin(self._direction0)
             ahead = (x - self._x0) * cos + (y - self._y0) * sin
@@ -287,7 +281,8 @@ class Track:
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
-        return self  # highway-env deep-copies vehicles to predict them, and a copy of the path would be slow
+        # highway-env deep-copies vehicles to predict them, and a copy of the path would be slow
+        return self
 
     def __reduce__(self) -> tuple[object, ...]:
         x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)

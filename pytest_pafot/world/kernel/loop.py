@@ -97,7 +97,8 @@ class GivenDriver(EgoDriver):
         kind: VehicleType | None = None,
     ) -> None:
         super().__init__(ego, every)
-        self._place = place  # the ego in road coordinates; this is `ego` if the road starts at the world's origin
+        # the ego in road coordinates; this is `ego` if the road starts at the world's origin
+        self._place = place
         self._sensor = sensor
         self._lanes = lanes
         self._lane_width = lane_width
@@ -157,9 +158,8 @@ class GivenDriver(EgoDriver):
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
         wanted = self._wanted
         if self._kind is not None:
-            self._steer(
-                self._angle
-            )  # the commanded angle, because the possible angle depends on the speed
+            # the commanded angle, because the possible angle depends on the speed
+            self._steer(self._angle)
             wanted, ego.steering = self._kind.limited(wanted, ego.steering, ego.speed)
         ego.acceleration = without_reversing(wanted, ego.speed, self._dt)
 
@@ -203,9 +203,8 @@ class PlannerDriver(GivenDriver):
         """
         taken = len(self.actions)
         if taken < self._given:
-            if (
-                self._sensor.is_bent
-            ):  # a decision is applied at the position of the last observation
+            # a decision is applied at the position of the last observation
+            if self._sensor.is_bent:
                 self._sensor.observation(tick)
             self.take(self._decisions[taken], 0.0)
             return None
@@ -217,9 +216,8 @@ class PlannerDriver(GivenDriver):
             try:
                 guard.started = started
                 action = self._ads(self._sensor.observation(tick))
-                self.take(
-                    action, self._clock() - started
-                )  # reading an action may run the ADS's code, too
+                # reading an action may run the ADS's code, too
+                self.take(action, self._clock() - started)
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started

@@ -391,9 +391,8 @@ class RoadSensor(Sensor):
         self._bends = bends
         self._leaning = list(leaning)  # the path with the leans of each vehicle, the ego first
         self._zones = list(zones)  # zone of each crossing NPC; None for the other NPCs
-        self._common = (
-            common  # number of lanes, width [m], speed limit [m/s] and length of the road [m]
-        )
+        # number of lanes, width [m], speed limit [m/s] and length of the road [m]
+        self._common = common
         self._physics_hz = physics_hz
         self._every = every
         self._sight: Any = None
@@ -410,9 +409,8 @@ class RoadSensor(Sensor):
         bends, record, places, count = self._bends, self._record, self._places, len(self._sizes)
         row = tick * count * COLUMNS
         x, y, heading, speed = record[row], record[row + 1], record[row + 2], record[row + 3]
-        bends.locate(
-            x, y, heading, places.along(0)
-        )  # the ego first, because the others are relative to it
+        # the ego first, because the others are relative to it
+        bends.locate(x, y, heading, places.along(0))
         own, across = bends.along, bends.across
         stretch = bends.stretch(own, across)
         self.along = own
@@ -424,9 +422,8 @@ class RoadSensor(Sensor):
         others, ids, lateral, crossing = [], [], [self._drift], []
         then = row
         glimpses: Any = [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
-        if (
-            self._sight is not None
-        ):  # with imperfect perception, vehicles are seen late, with errors, or not at all
+        # with imperfect perception, vehicles are seen late, with errors, or not at all
+        if self._sight is not None:
             before = max(0, tick - self._sight.delay(self._physics_hz))
             then = before * count * COLUMNS
             glimpses = self._sight.glimpses(self._states(then), self._seed, tick)
@@ -490,9 +487,8 @@ class RoadSensor(Sensor):
         # the mean of the stretches at both vehicles applies to the distance
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
-        self._drift = lateral_velocity(
-            to_lane, speed, steering
-        )  # for the observation's lateral_velocities
+        # for the observation's lateral_velocities
+        self._drift = lateral_velocity(to_lane, speed, steering)
         y, leaning = (
             bends.in_lanes(lane, along, bends.offset),
             to_lane - own_bends.lean_at(lane, along),

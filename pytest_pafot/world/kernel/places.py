@@ -46,9 +46,8 @@ class Places:
         self._lanes: Any = lanes
         self._x = x
         self._y = y
-        self.lanes = (
-            lanes if vehicles[0] is bodies[0] else None
-        )  # None if `see` must place bodies after each tick
+        # None if `see` must place bodies after each tick
+        self.lanes = lanes if vehicles[0] is bodies[0] else None
         self._bends: Any = bends
         self._ways = list(ways)  # path of each crossing NPC, None for the other vehicles
         self._end = end  # position along the ego's path at which the run ends [m]
@@ -56,7 +55,8 @@ class Places:
         # along the path. It returns the index of the ego's lane in Trace.lanes, and the outcome if the run ends.
         self._beside: Any = beside
         self._along = array("d", starts)  # position of each vehicle along its path [m]
-        self._row = 0  # sum of the vehicles recorded at all earlier ticks, from which indices in `track` follow
+        # sum of the vehicles recorded at all earlier ticks, from which indices in `track` follow
+        self._row = 0
         npcs = len(vehicles) - 1
         rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
         # values of Trace.track and Trace.on_way; empty if the trace does not need them
@@ -100,9 +100,8 @@ class Places:
         self._row += count
         if has_ended:
             self.left = Outcome.END_OF_ROAD
-        elif (
-            bends is not None and record[first + 6] < 0
-        ):  # the ego is in a lane of another road, or off the road
+        # the ego is in a lane of another road, or off the road
+        elif bends is not None and record[first + 6] < 0:
             ego = self.vehicles[0]
             bends.locate(ego.x, ego.y, ego.heading, self._along[0])
             record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)

@@ -65,23 +65,24 @@ Section = tuple[str, str]
 WIDER = 1.0
 # distance below which boxes count as touching [m]; otherwise, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
-ONE_LANE, ONE_DIRECTION = (
-    0.5,
-    0.1,
-)  # largest distance and angle between two paths in the same lane [m, rad]
+# largest distance and angle between two paths in the same lane [m, rad]
+ONE_LANE, ONE_DIRECTION = 0.5, 0.1
 # largest distance from a path and angle to it at which a vehicle obstructs vehicles on that path [m, rad]
 BESIDE, ALIGNED = 1.0, 0.3
-APPROACH = 20.0  # distance of both vehicles before the zone at which the direction of approach is determined [m]
+# distance of both vehicles before the zone at which the direction of approach is determined [m]
+APPROACH = 20.0
 # Limits for the angle between two directions of approach [rad]. Above the first limit, vehicles come from opposite
 # directions. Below the second, they come side by side. In a roundabout, the angle is three quarters of pi, and a
 # circulating vehicle comes from the left.
 OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
-STRAIGHTER = 0.2  # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
-LEAD = 6.0  # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
-MOST_WAYS = 64  # largest number of paths that are used, the shortest first; city blocks have very many paths
-COARSE = (
-    4  # number of points per group; to save time, two paths are first compared by groups of points
-)
+# of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
+STRAIGHTER = 0.2
+# time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
+LEAD = 6.0
+# largest number of paths that are used, the shortest first; city blocks have very many paths
+MOST_WAYS = 64
+# number of points per group; to save time, two paths are first compared by groups of points
+COARSE = 4
 DRAWN = 4  # step between the points of a path that are stored for pictures
 
 
@@ -102,11 +103,11 @@ class CrossingWay:
     way: Way
     line: Line  # from the entry to the exit
     column: Column  # lane at each point
-    middle: float  # position nearest to the ego's path; if the paths merge, position of the entry into its lane [m]
+    # position nearest to the ego's path; if the paths merge, position of the entry into its lane [m]
+    middle: float
     shaped: Shaped  # creates the lane for the limits and the length of an NPC
-    along_ego: list[
-        float
-    ]  # position of each point along the ego's path [m]; NaN if far from it or turned away
+    # position of each point along the ego's path [m]; NaN if far from it or turned away
+    along_ego: list[float]
 
     def for_vehicle(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
         """Return this path with the zone and the speeds for a vehicle type."""
@@ -291,9 +292,8 @@ def _ways(
         column = replace(lane, part=parts)
         course = _course(line, column)
         met = next(meetings_of(own, course, near_pairs(own, course)), None)
-        if (
-            met is not None and met.stretches[0][0] > road.start
-        ):  # only conflicts ahead of the ego's start matter
+        # only conflicts ahead of the ego's start matter
+        if met is not None and met.stretches[0][0] > road.start:
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
             way = Way(
                 zone=zone,
@@ -312,10 +312,8 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
     follow: dict[Section, list[Section]] = {
         (a, b): [] for a, ends in network.graph.items() for b in ends
     }
-    for (
-        section,
-        following,
-    ) in follow.items():  # a section follows another one if any of their lanes do
+    # a section follows another one if any of their lanes do
+    for section, following in follow.items():
         lasts = [
             Piece((*section, 0), lane, 0.0, float(lane.length))
             for lane in network.graph[section[0]][section[1]]
@@ -419,9 +417,8 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
     # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])
-        for own in np.split(
-            known, np.flatnonzero(np.diff(known) > 1) + 1
-        ):  # parts of the first path
+        # parts of the first path
+        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
             belongs = run[np.isin(i[run], own)]
             if boxes_touch(a, b, (i[belongs], j[belongs]), 0.0).any():
                 yield _meeting(a, b, i[belongs], j[belongs])
@@ -473,9 +470,8 @@ def _places(
         & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned)
         & (np.abs(ahead) <= STEP)
     )
-    order = np.argsort(
-        -np.abs(ahead[fits]), kind="stable"
-    )  # the nearest position is written last, so it remains
+    # the nearest position is written last, so it remains
+    order = np.argsort(-np.abs(ahead[fits]), kind="stable")
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
     return places
@@ -539,9 +535,8 @@ def _holder(
     else:
         # otherwise, a circulating vehicle has priority over an entering one
         mine, theirs = _circulates(network, own), _circulates(network, other)
-        if (
-            mine == theirs and met.merges
-        ):  # where lanes merge, the main lane has priority, which turns less
+        # where lanes merge, the main lane has priority, which turns less
+        if mine == theirs and met.merges:
             ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
             bends = [
                 abs(line.heading[b] - line.heading[a])

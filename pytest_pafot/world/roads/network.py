@@ -31,10 +31,10 @@ from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 
-SLOWING = 2.0  # deceleration of an NPC before a bend or the end of a lane [m/s^2]; at most a third of its limit
-SPEED_LAG = (
-    1 / 1.5
-)  # lag of the speed control behind a steadily falling target speed, the inverse of its gain [s]
+# deceleration of an NPC before a bend or the end of a lane [m/s^2]; at most a third of its limit
+SLOWING = 2.0
+# lag of the speed control behind a steadily falling target speed, the inverse of its gain [s]
+SPEED_LAG = 1 / 1.5
 
 
 def allowed_speeds(
@@ -56,24 +56,21 @@ def allowed_speeds(
     if stops is not None:
         speed = np.where(lengths >= stops, 0.0, speed)
     squares, places = (speed**2).tolist(), lengths.tolist()
-    for index in range(
-        len(squares) - 2, -1, -1
-    ):  # backwards, so that gentle braking suffices for all following points
+    # backwards, so that gentle braking suffices for all following points
+    for index in range(len(squares) - 2, -1, -1):
         reach = squares[index + 1] + 2 * slowing * (places[index + 1] - places[index])
         squares[index] = min(squares[index], reach)
     speed = np.sqrt(squares)
-    reached = np.searchsorted(
-        lengths, lengths + speed * SPEED_LAG, side="right"
-    )  # the lag of the speed control
+    # the lag of the speed control
+    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")
     return _of_windows(np.minimum, speed, np.minimum(reached + 1, len(speed)))
 
 
 def _of_windows(extreme: np.ufunc, values: FloatArray, ends: npt.NDArray[np.intp]) -> FloatArray:
     # The smallest or largest value between each point and the end of its window.
     bounds = np.stack([np.arange(len(values)), ends], axis=-1).ravel()
-    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[
-        ::2
-    ]  # windows may end after the last
+    # windows may end after the last
+    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]
     return windows
 
 
@@ -108,12 +105,10 @@ class Column:
     # Angle between the direction and a vehicle that follows the lane [rad]. In a bend, a car's heading is turned
     # inwards less than its course.
     lean: list[float]
-    speed: list[
-        float
-    ]  # highest speed of an NPC with respect to bends, speed limits and the end of the lane [m/s]
-    sharpest: list[
-        float
-    ]  # largest curvature within the length of a lane change ahead of the point [1/m]
+    # highest speed of an NPC with respect to bends, speed limits and the end of the lane [m/s]
+    speed: list[float]
+    # largest curvature within the length of a lane change ahead of the point [1/m]
+    sharpest: list[float]
     part: list[int]  # index in Trace.lanes; -1 where the lane does not exist
 
 
@@ -130,13 +125,13 @@ class NetworkRoad(Road):
     shaped: Shaped
     limits: NpcLimits  # limits of every NPC, which `columns` respect
     sections: frozenset[tuple[str, str]]  # sections of the path, as pairs of highway-env's nodes
-    route: tuple[
-        LaneIndex, ...
-    ]  # lanes of the path in driving order; `line.piece` contains indices of this tuple
+    # lanes of the path in driving order; `line.piece` contains indices of this tuple
+    route: tuple[LaneIndex, ...]
     others: tuple[LaneIndex, ...]  # lanes in no section of the path, which are the last of `lanes`
     line: Line
     lane_width: float  # width of the ego's lane at the start [m]
-    speed_limit: float  # limit of the path's fastest lane, or the ego's initial speed if that is higher [m/s]
+    # limit of the path's fastest lane, or the ego's initial speed if that is higher [m/s]
+    speed_limit: float
     start: float  # start position of the ego along the road [m]
     ego_lane: int
     ego_speed: float
@@ -306,9 +301,8 @@ class NetworkRoad(Road):
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
-        own_lanes = len(self.lanes) - len(
-            self.others
-        )  # NPCs on the grid drive only on the path's own lanes
+        # NPCs on the grid drive only on the path's own lanes
+        own_lanes = len(self.lanes) - len(self.others)
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
         return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
 
@@ -345,15 +339,12 @@ Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
 """The distance [m] between neighbouring points of a line."""
-WIDEST_GAP = (
-    10.0  # largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
-)
-SHARPEST_BEND = (
-    1.3  # largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
-)
-DECIDED_BEFORE = (
-    2.5  # distance before a lane's end at which highway-env's vehicles choose the next lane [m]
-)
+# largest gap between consecutive lanes [m]; highway-env's roundabouts have gaps of 6 m
+WIDEST_GAP = 10.0
+# largest angle between two consecutive lanes [rad]; no vehicle can follow a larger one
+SHARPEST_BEND = 1.3
+# distance before a lane's end at which highway-env's vehicles choose the next lane [m]
+DECIDED_BEFORE = 2.5
 # angle between neighbouring points above which the joint of two lanes is rounded off [rad]; no vehicle can follow it
 ROUGH = 0.06
 BLEND = 3.0  # length scale over which the joint of two lanes is rounded off, on either side [m]
@@ -490,9 +481,8 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
         count = max(2, math.ceil((piece.end - piece.begin) / STEP) + 1)
         for longitudinal in np.linspace(piece.begin, piece.end, count).tolist():
             x, y = map(float, piece.lane.position(longitudinal, 0))
-            if (
-                rows and math.dist((x, y), rows[-1]) < STEP / 10
-            ):  # the last piece ends where this one begins
+            # the last piece ends where this one begins
+            if rows and math.dist((x, y), rows[-1]) < STEP / 10:
                 owners[-1] = number
             else:
                 rows.append((x, y))

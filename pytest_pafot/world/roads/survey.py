@@ -33,19 +33,16 @@ from pytest_pafot.world.roads.network import (
 from pytest_pafot.world.roads.network import way as way_of
 
 SHORTEST_LANE = 10.0  # length below which the grid ignores a lane next to the path [m]
-BEYOND_ENDS = (
-    0.5  # distance past a lane's ends within which the lane still counts as next to the path [m]
-)
+# distance past a lane's ends within which the lane still counts as next to the path [m]
+BEYOND_ENDS = 0.5
 SAME_DIRECTION = 0.5  # largest angle between two lanes in the same direction [rad]
 SAME_LANE = 1.0  # largest sideways step between neighbouring points of a continuous lane [m]
-BRIDGED = (
-    10.0  # longest interruption of a lane that is bridged, for example between two sections [m]
-)
+# longest interruption of a lane that is bridged, for example between two sections [m]
+BRIDGED = 10.0
 EVENED = 2.0  # length scale over which sideways steps of a lane are rounded off [m]
 LANE_CHANGE = 25.0  # length of a lane change at the speeds at which bends matter [m]
-STOP_BEFORE_END = (
-    CAR.length / 2 + 1.5
-)  # distance of a car's centre from the end of its lane when it stops there [m]
+# distance of a car's centre from the end of its lane when it stops there [m]
+STOP_BEFORE_END = CAR.length / 2 + 1.5
 POINT_STEP = 2.0  # distance between the points of a lane in a trace [m]
 ROOM_BEHIND = 150.0  # length of the path behind the ego's start [m]
 
@@ -74,9 +71,8 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND
     )
     line, speed = line_of(pieces), float(ego.speed)
-    strips = _strips(
-        network, pieces, line, speed
-    )  # the line is the ego's path, and the strips are the lanes along it
+    # the line is the ego's path, and the strips are the lanes along it
+    strips = _strips(network, pieces, line, speed)
     curvature = curvature_of(line)
     worst = int(np.abs(curvature).argmax())
     if abs(curvature[worst]) > TIGHTEST:
@@ -249,9 +245,8 @@ def _drop_broken(strip: _Strip, line: Line) -> None:
     # cut the lane at steps that were too large to bridge or to round off
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
-        is_short = (
-            len(part) * STEP < SHORTEST_LANE
-        )  # parts that are too short or too sharply curved are dropped
+        # parts that are too short or too sharply curved are dropped
+        is_short = len(part) * STEP < SHORTEST_LANE
         if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
             strip.exists[part] = False
 
@@ -391,9 +386,8 @@ def _other_lane(lane: Any, ego_speed: float) -> Lane:
 SECTION = 5.0  # length of the sections that `network_of` makes [m]
 ALMOST = 1e-4  # largest distance of a point of a straight lane from its exact position [m]
 MOST_OVERLAP = 0.1  # largest overlap of neighbouring lanes as a proportion of their width
-STRAIGHT = (
-    1e-7  # angle between the ends of a section up to which a lane counts as straight there [rad]
-)
+# angle between the ends of a section up to which a lane counts as straight there [rad]
+STRAIGHT = 1e-7
 
 
 def straight_along(
@@ -439,16 +433,14 @@ def network_of(
 
     curves = [_curve(line) for line in lines]
     longest = max(curves, key=len)
-    stations = longest[
-        :: max(1, round(SECTION))
-    ]  # the ends of sections, at the same positions for all lanes
+    # the ends of sections, at the same positions for all lanes
+    stations = longest[:: max(1, round(SECTION))]
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
     tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
     tangent /= np.hypot(*tangent.T)[:, None]
-    reach = (
-        2.0 * width * len(lines)
-    )  # farther points belong to another turn of a spiral, or to a loop's other side
+    # farther points belong to another turn of a spiral, or to a loop's other side
+    reach = 2.0 * width * len(lines)
     ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
     _check_order(ways, tangent, width, name)
     turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
@@ -516,9 +508,8 @@ def _slopes(way: FloatArray) -> FloatArray:
     # The tangent vector of a lane at each point.
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    if (
-        len(known) > 1
-    ):  # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
+    # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
+    if len(known) > 1:
         slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
     slopes[np.isnan(slopes)] = 0.0
     return slopes

@@ -174,8 +174,7 @@ def braking_needed(v, c):
     """Return the deceleration that another vehicle in the way requires [m/s^2]; v is the own speed."""
     f, room = max(c.v, 0.0), max(c.gap - 2.0, 0.3)
     needed = (v - f) ** 2 / (2 * room) if v > f else 0.0
-    if c.a < -1.0 or (
-        room < 0.9 * v and v > f - 2.0
-    ):  # it brakes, or is so near that its hardest braking counts
+    # it brakes, or is so near that its hardest braking counts
+    if c.a < -1.0 or (room < 0.9 * v and v > f - 2.0):
         needed = max(needed, v * v / (2 * max(room + f * f / 15 - 0.4 * v, 0.5)))
     return needed

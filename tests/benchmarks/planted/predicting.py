@@ -49,10 +49,8 @@ class LowerRoot(Predictor):
     while the vehicle ahead brakes, which makes the lower root negative, the ego only brakes gently.
     """
 
-    ENDS, GENTLE = (
-        7.0,
-        3.0,
-    )  # time to a collision that matters [s]; braking for what does not collide [m/s^2]
+    # time to a collision that matters [s]; braking for what does not collide [m/s^2]
+    ENDS, GENTLE = 7.0, 3.0
 
     def behind(self, v, c):
         return max(super().behind(v, c), -self.GENTLE)

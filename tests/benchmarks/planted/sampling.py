@@ -109,9 +109,8 @@ class FrozenList(Sampler):
         if self.old is None and o.time > self.arrived + self.SETTLES:
             self.listed = None
             return super().ahead(o, cars)
-        if (
-            self.listed is None and self.old is None
-        ):  # settling after a change that was given up at once
+        # settling after a change that was given up at once
+        if self.listed is None and self.old is None:
             return super().ahead(o, cars)
         if self.listed is None:
             near = (min(self.old, self.lane) * WIDE - 2.2, max(self.old, self.lane) * WIDE + 2.2)

@@ -8,23 +8,8 @@ from types import SimpleNamespace
 
 from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
 
-SPEEDS = (
-    0.0,
-    0.5,
-    1.0,
-    2.0,
-    3.0,
-    4.5,
-    6.0,
-    9.0,
-    12.0,
-    15.0,
-    18.0,
-    21.0,
-    24.0,
-    27.0,
-    30.0,
-)  # own speed
+# own speed
+SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 30.0)
 GAPS = (*range(0, 40, 2), *range(40, 101, 5))
 CLOSINGS = (-8.0, -4.5, -3.0, -1.5, -0.5, 0.0, 0.5, *(1.5 * step for step in range(1, 15)))
 FAR = 2.0  # acceleration if no vehicle is near

@@ -29,10 +29,8 @@ class Pilot(ControlledVehicle):
 
     repaired = False
     SHARE = 0.97  # of the speed limit
-    GAIN, REST = (
-        0.4,
-        4.0,
-    )  # the acceleration gain that is worth a lane change; the time between two of them [s]
+    # the acceleration gain that is worth a lane change; the time between two of them [s]
+    GAIN, REST = 0.4, 4.0
 
     def __init__(self, road, position, heading=0.0, speed=0.0, **options):
         super().__init__(road, position, heading, speed, **options)

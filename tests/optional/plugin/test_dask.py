@@ -50,9 +50,8 @@ def test_many(run):
 @pytest.fixture
 def elsewhere(project, monkeypatch):
     """Return a project whose ADS has its own module, and the findings of a search in one process there."""
-    monkeypatch.setattr(
-        "pytest_pafot.plugin.session.LOG_SECONDS", math.inf
-    )  # a slow session would report its progress
+    # a slow session would report its progress
+    monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", math.inf)
     project.pytester.makeconftest(CONFTEST)
     project.pytester.makepyfile(my_planner=PLANNER)
     project.write(MANY)
@@ -121,10 +120,8 @@ def test_a_scheduler_that_does_not_answer_is_named():
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("pytest_pafot.execution.dask_cluster.SOON", 0.1)
-    here = {
-        "processes": False,
-        "protocol": "tcp",
-    }  # a worker in a process of its own takes seconds to start
+    # a worker in a process of its own takes seconds to start
+    here = {"processes": False, "protocol": "tcp"}
     with distributed.LocalCluster(
         n_workers=0, threads_per_worker=1, dashboard_address=":0", **here
     ) as empty:

@@ -37,9 +37,8 @@ SEEN = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
 def program(folder, body, **options):
     file = folder / f"planner_{len(list(folder.iterdir()))}.py"
     file.write_text(LOOP.replace("{body}", textwrap.indent(textwrap.dedent(body), "    ").strip()))
-    return pafot.policies.process(
-        [sys.executable, "-S", "-E", str(file)], **options
-    )  # these options halve the start
+    # these options halve the start
+    return pafot.policies.process([sys.executable, "-S", "-E", str(file)], **options)
 
 
 def children():
@@ -168,9 +167,8 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
 def test_wrong_program_behaviour_is_reported_with_its_kind(
     body, kind, message, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(
-        programs, "GRACE", 0.2 if "os.close" in body else 10.0
-    )  # a busy machine ends it late
+    # a busy machine ends it late
+    monkeypatch.setattr(programs, "GRACE", 0.2 if "os.close" in body else 10.0)
     once = f"if seen['time'] == 1.0:\n    {body}\nelse:\n    answer(acceleration=0.0, steering=0.0)"
     ads = program(tmp_path, once)
     error = ROAD.rollout(CUT_IN, ads).error

@@ -398,9 +398,8 @@ class Aggressive(IDMVehicle):
 @pytest.mark.parametrize("world", [Highway(duration=2), World("highway-v0", duration=2)])
 def test_vehicle_class_with_an_argument_of_its_own_is_refused_with_a_way_out(world):
     for factory in (Aggressive, lambda: Aggressive):
-        if not (
-            isinstance(world, World) and factory is not Aggressive
-        ):  # a World wants the class itself
+        # a World wants the class itself
+        if not (isinstance(world, World) and factory is not Aggressive):
             with pytest.raises(
                 AdsFactoryError,
                 match=r"received Aggressive with .*functools\.partial\(Aggressive, ",

@@ -120,9 +120,8 @@ def test_no_turn_is_sharper_than_the_limit(goals, speed, frequency, limits):
         return LaneCommand(lane=lane, speed=speed, **limits)
 
     trace = alone(decide, speed=speed, seconds=20.0, physics_hz=physics_hz, ads_hz=ads_hz)
-    assert (
-        abs(pulls(trace)).max() <= 1.05 * limits["lateral_acceleration"]
-    )  # more than 1 at full throttle alone
+    # more than 1 at full throttle alone
+    assert abs(pulls(trace)).max() <= 1.05 * limits["lateral_acceleration"]
 
 
 @given(

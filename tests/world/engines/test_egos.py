@@ -95,9 +95,8 @@ def assert_same(case):
 
 
 @given(st.integers(10_000, 2**32))
-@example(
-    133_539
-)  # where the dot product of numpy's linear algebra rounds otherwise than its products and their sum
+# where the dot product of numpy's linear algebra rounds otherwise than its products and their sum
+@example(133_539)
 def test_run_equals_that_of_env_step_exactly(seed):
     assert_same(Case.random(seed))
 

@@ -372,10 +372,8 @@ def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_colli
     first, second = (
         world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped)
     )
-    assert (second.outcome, second.ticks % 80 < 75) == (
-        Outcome.COLLISION,
-        True,
-    )  # a step is 16 of 5 ticks
+    # a step is 16 of 5 ticks
+    assert (second.outcome, second.ticks % 80 < 75) == (Outcome.COLLISION, True)
     assert second.states.tobytes() == first.states.tobytes()
 
 

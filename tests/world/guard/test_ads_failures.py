@@ -288,9 +288,8 @@ def test_interrupt_that_an_ads_catches_ends_the_run_all_the_same(world, idle, nu
             signal.raise_signal(number)
         return idle
 
-    before = signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # a shell's background jobs ignore SIGINT
+    # a shell's background jobs ignore SIGINT
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with interrupted_by_signals(hang_guard.note_interrupt), pytest.raises(error):
             world.rollout(SCENARIO, lambda: ads)

@@ -207,9 +207,12 @@ def test_npc_with_the_higher_number_waits():
 
 
 @table(("env_id", "slower", "faster", "does_clash"), [
-    ("intersection-v0", ("o1>o2", -3.0, 4.2, "hold"), ("o1>o2", -4.8, 6.5), True),  # they start 4.7 m apart
-    ("roundabout-v0", ("wer>exr", -0.9, 3.8), ("ner>nxr", -3.5, 18.5), True),  # in the circle, 2.5 m apart
-    ("roundabout-v0", ("wer>exr", -1.0, 4.0), ("ner>exr", -2.7, 16.9), True),  # 7.5 m apart, at 4 and 8.8 m/s
+    # they start 4.7 m apart
+    ("intersection-v0", ("o1>o2", -3.0, 4.2, "hold"), ("o1>o2", -4.8, 6.5), True),
+    # in the circle, 2.5 m apart
+    ("roundabout-v0", ("wer>exr", -0.9, 3.8), ("ner>nxr", -3.5, 18.5), True),
+    # 7.5 m apart, at 4 and 8.8 m/s
+    ("roundabout-v0", ("wer>exr", -1.0, 4.0), ("ner>exr", -2.7, 16.9), True),
     ("roundabout-v0", ("wer>exr", 1.0, 4.0), ("ner>exr", -2.7, 16.9), False),
 ])  # fmt: skip
 def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_entry(

@@ -87,18 +87,11 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
 def test_cells_exist_only_on_lanes_in_ego_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
-    assert roundabout.cells(roundabout.start, 1, 8.0) == {
-        2,
-        6,
-    }  # before the circle there is one lane
+    # before the circle there is one lane
+    assert roundabout.cells(roundabout.start, 1, 8.0) == {2, 6}
     in_the_circle = 170.0
-    assert roundabout.cells(in_the_circle, 1, 8.0) == {
-        1,
-        2,
-        6,
-        7,
-        8,
-    }  # the inner lane is to the left
+    # the inner lane is to the left
+    assert roundabout.cells(in_the_circle, 1, 8.0) == {1, 2, 6, 7, 8}
     merge = world_of("merge-v1").road
     assert merge.cells(merge.start, 1, 8.0) == {1, 2, 6, 7, 8}
     assert merge.cells(250.0, 1, 8.0) == {1, 2, 3, 4, 5, 6, 7, 8}  # next to the lane that ends

@@ -45,9 +45,8 @@ def test_bend_to_either_side_is_driven_slowly_throughout(side):
 def test_nobody_drives_beyond_the_end_of_a_lane():
     speed = allowed_speeds(np.zeros(200), np.full(200, 20.0), 150.0, LENGTHS, LIMITS)
     assert (speed[150:] == 0.0).all()
-    assert speed[100] == pytest.approx(
-        math.sqrt(2 * SLOWING * (50 - 10))
-    )  # 9.4 m on while the control lags behind
+    # 9.4 m on while the control lags behind
+    assert speed[100] == pytest.approx(math.sqrt(2 * SLOWING * (50 - 10)))
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -122,9 +122,8 @@ def test_runs_on_a_turned_road_are_those_on_a_straight_one(speed):
 
 
 def test_collisions_on_a_turned_road_have_a_responsible_vehicle(monkeypatch):
-    monkeypatch.setattr(
-        codec, "BUILT_IN", codec.BUILT_IN | {"turned": TurnedHighway}
-    )  # as a new kind would be
+    # as a new kind would be
+    monkeypatch.setattr(codec, "BUILT_IN", codec.BUILT_IN | {"turned": TurnedHighway})
     found = pafot.explore(
         lambda: follower, world=TurnedHighway(), holds=lambda run: None, runs=16, seed=1, workers=1
     )
