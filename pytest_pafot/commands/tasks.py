@@ -6,9 +6,9 @@ import math
 import tempfile
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeVar, assert_never
 
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import Done, Lost, RunItHere, WorkerPool
 
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
@@ -31,25 +31,30 @@ def run_tasks(
         return
     with (
         tempfile.TemporaryDirectory(prefix="pafot-") as scratch,
-        WorkerPool[TaskT, Any](
+        WorkerPool[TaskT](
             partial(_run, work, scratch), workers, method="spawn", patience=math.inf, grace=math.inf
         ) as pool,
     ):
         pool.expect(tasks)
         for task, answer in pool.completed():
-            if pool.failure or isinstance(answer, ProcessLostError):
-                ended = (
-                    f"its process {answer.end}"
-                    if isinstance(answer, ProcessLostError)
-                    else pool.failure
-                )
-                raise ChildProcessError(
-                    f"expected a worker to finish the task {task!r}, but {ended}. Did the policy end its process? If "
-                    "it ran out of memory, use fewer processes with --workers"
-                )
-            if isinstance(answer, Exception):
-                raise answer
-            yield task, answer
+            match answer:
+                case Done(result) if not pool.failure:
+                    yield task, result
+                case RunItHere(error) if not pool.failure:
+                    raise error
+                case Lost(death) if not pool.failure:
+                    raise _unfinished(task, f"its process {death.end}")
+                case Done() | Lost() | RunItHere():
+                    raise _unfinished(task, pool.failure)
+                case other:
+                    assert_never(other)
+
+
+def _unfinished(task: object, why: str) -> ChildProcessError:
+    return ChildProcessError(
+        f"expected a worker to finish the task {task!r}, but {why}. Did the policy end its process? If it ran out of "
+        "memory, use fewer processes with --workers"
+    )
 
 
 def _run(work: Callable[[Any], Any], scratch: str, task: Any, tell: object) -> Any:

@@ -21,19 +21,20 @@ from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
-from typing import Any
+from typing import Any, assert_never
 
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import Answer, Lost, ProcessLostError, RunItHere, WorkerPool
 from pytest_pafot.execution.runner import (
-    Answer,
     Cluster,
     ExecutionError,
     Job,
     LostRun,
+    Task,
     Timed,
     Whole,
+    in_world,
+    run_timed,
 )
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.world.guard.hang_guard import check_time
@@ -45,7 +46,25 @@ POLL = 0.5  # interval for checks of the search's time limit [s]
 SOON = 5.0  # time to wait for a first worker before the user is informed [s]
 IDLE = 60.0  # time after which an idle child process ends [s]
 
-Task = Scenario | Whole
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """The answer of a worker to a task, and the processes that it lost before a second attempt succeeded."""
+
+    answer: Answer
+    recovered: tuple[LostRun, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unfit:
+    """The answer of a worker that cannot run any scenario."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class NeedsContent:
+    """The answer of a worker that does not have the content of the parcel yet."""
 
 
 @contextmanager
@@ -134,7 +153,7 @@ class DaskPool:
 
     def fetch(self, task: Task) -> Answer:
         """Wait for the answer to a scenario. An answer can be fetched only once."""
-        first: Exception | None = None
+        errors: list[Exception] = []
         while not self.failure:
             self.add_all([task])
             if task not in self._under_way:
@@ -144,10 +163,11 @@ class DaskPool:
             except Exception as error:  # noqa: BLE001  (Dask's errors have no base)
                 # A task that fails is tried once more. Only the second error counts, because Dask may raise any error
                 # if a worker dies while its answer is read.
-                if first is None:
-                    first = error
+                errors.append(error)
+                if len(errors) == 1:
+                    pass
                 elif type(error).__name__ == "KilledWorker":
-                    return _lost(task, error)
+                    return Lost(_lost(task, error))
                 elif isinstance(error, (OSError, CancelledError)):
                     self.failure = _named(error)
                 else:
@@ -156,16 +176,20 @@ class DaskPool:
                         "the workers have the same packages as this session?"
                     ) from None
                 continue
-            if isinstance(done, str):
-                raise ExecutionError(done)
-            self._is_known = done is not None
-            if done is None:  # the worker is new
-                continue
-            answer: Answer = done[0]
-            self.recovered += [*done[1], *([] if first is None else [_lost(task, first)])]
-            self.unable += [] if isinstance(answer, (tuple, ProcessLostError)) else [answer]
-            return answer
-        return RuntimeError(self.failure)
+            match done:
+                case Unfit(why):
+                    raise ExecutionError(why)
+                case NeedsContent():  # the worker is new
+                    self._is_known = False
+                case Answered(answer, recovered):
+                    self._is_known = True
+                    self.recovered += [*recovered, *(_lost(task, error) for error in errors[:1])]
+                    if isinstance(answer, RunItHere):
+                        self.unable.append(answer.error)
+                    return answer
+                case other:
+                    assert_never(other)
+        return RunItHere(RuntimeError(self.failure))
 
     def close(self, *, at_once: bool = False) -> None:
         for future in self._under_way.values():
@@ -173,11 +197,12 @@ class DaskPool:
         self._under_way = {}
 
 
-def _result(future: Future[Any]) -> Any:
+def _result(future: Future[Any]) -> Answered | Unfit | NeedsContent:
     while True:
         check_time()
         try:
-            return future.result(POLL)
+            done: Answered | Unfit | NeedsContent = future.result(POLL)
+            return done
         except TimeoutError:
             if future.done():  # the task itself raised the error
                 raise
@@ -265,22 +290,20 @@ class _Call:
 # The code that a worker runs.
 
 
-def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str | None:
-    """Run a scenario in a worker. Return the answer, and the processes lost before a second attempt succeeded.
-
-    If the worker cannot run any scenario, return the reason. If it needs the content of the parcel, return None.
-    """
+def _run_task(parcel: Parcel, task: Task) -> Answered | Unfit | NeedsContent:
+    """Run a scenario in a worker."""
     # The same scenario must give the same result on any worker, so the versions must be equal.
     here, place = versions_here(), f"{socket.gethostname()} ({sys.executable})"
     other = [f"{name} {version} in this session, {here.get(name)} there" for name, version in parcel.versions.items()
              if here.get(name) != version]  # fmt: skip
     if other:
         expected = f"{OPTION}: expected workers with the same versions as this session"
-        return f"{expected}, but those at {place} differ: {'; '.join(other)}. Install the same versions there"
+        differ = f"those at {place} differ: {'; '.join(other)}"
+        return Unfit(f"{expected}, but {differ}. Install the same versions there")
     try:
         whole, idle = _kept(parcel)
     except LookupError:
-        return None
+        return NeedsContent()
     try:
         # There is an idle child for each task that has run at the same time. A child is put back after its task.
         pool = idle.get_nowait()
@@ -292,15 +315,19 @@ def _run_task(parcel: Parcel, task: Task) -> tuple[Answer, list[LostRun]] | str 
             work, 1, method="spawn", patience=whole.patience, idle=IDLE, **whole.closing
         )
     answer = pool.fetch(task)
-    recovered, pool.recovered = pool.recovered, []
-    if pool.failure or isinstance(answer, ExecutionError):
-        return f"{OPTION}: a worker at {place} cannot run the ADS: {pool.failure or answer}"
+    recovered = tuple(pool.recovered)
+    pool.recovered = []
+    problem = pool.failure
+    if isinstance(answer, RunItHere) and isinstance(answer.error, ExecutionError):
+        problem = problem or str(answer.error)
+    if problem:
+        return Unfit(f"{OPTION}: a worker at {place} cannot run the ADS: {problem}")
     idle.put(pool)
-    return answer, recovered
+    return Answered(answer, recovered)
 
 
 @lru_cache(maxsize=4)
-def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
+def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any]]]:
     # A parcel with its content, and its idle child processes.
     if parcel.content is None:
         raise LookupError
@@ -308,10 +335,8 @@ def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
 
 
 def _run(parcel: Parcel, task: Task, tell: object) -> Timed:
-    scenario, method = (
-        (task.scenario, task.method) if isinstance(task, Whole) else (task, "rollout")
-    )
-    return Job.run(partial(_unpacked, parcel), scenario, method)
+    whole = task if isinstance(task, Whole) else Whole(task, in_world)
+    return run_timed(partial(_unpacked, parcel), whole.scenario, whole.simulate)
 
 
 @lru_cache(maxsize=1)

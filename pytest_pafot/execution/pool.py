@@ -1,4 +1,19 @@
-"""A pool of processes that identifies the task in which a process dies or hangs."""
+"""A pool of processes that identifies the task in which a process dies or hangs.
+
+The answer to a task is one of three values: `Done` with its result, `Lost` if its process died or hung, or `RunItHere`
+if no process could run it. A process has one of the states of `WorkerState`::
+
+              task               answer
+    STARTED --------->  BUSY  ----------->  IDLE
+                         | ^                 |
+       dies in its task  | |      task       |
+      .------------------+ '-----------------+
+      |                  | silent or stuck   | ends between two tasks, so no task is the cause
+      v                  v                   v
+    DEAD               HUNG               (removed)
+
+`DEAD` and `HUNG` are final: the process is removed, and its task is lost or tried a second time.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +34,12 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
+from enum import Enum, IntEnum
 from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, Generic, Self, TypeAlias, TypeVar, assert_never
 
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
@@ -49,8 +65,6 @@ KILLED = "was ended by SIGKILL"  # by something else, such as Linux when memory 
 OUT_OF_MEMORY = "ran out of the memory that it may use"
 WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"
 
-STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3  # why a process ends itself
-
 POLL = 0.5  # longest time between two checks that busy processes are alive [s]
 
 # A message starts with its length. If an ADS prints into the pipe, because it happens to use the descriptor, four
@@ -58,7 +72,7 @@ POLL = 0.5  # longest time between two checks that busy processes are alive [s]
 LARGEST = 0x2020_2020 - 1  # largest size of an answer [bytes]
 
 # A function that runs a task. Its second argument is a function that sends messages before the answer.
-Work: TypeAlias = Callable[..., ResultT]
+Work: TypeAlias = Callable[..., Any]
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -101,11 +115,59 @@ class ProcessLostError(Exception, Generic[TaskT]):
         ), ()
 
 
-@dataclass(eq=False)
-class WorkerPool(Generic[TaskT, ResultT]):
-    """A pool of up to ``size`` processes, which start on demand. Use the pool in a ``with`` statement.
+@dataclass(frozen=True, slots=True)
+class Done(Generic[ResultT]):
+    """The answer of a process that finished its task."""
 
-    The answer to a task is its result or an exception. A ``ProcessLostError`` means that the process died or hung.
+    value: ResultT
+
+
+@dataclass(frozen=True, slots=True)
+class Lost(Generic[TaskT]):
+    """The answer to a task whose process died or hung. The task must not run in the session's process."""
+
+    death: ProcessLostError[TaskT]
+
+
+@dataclass(frozen=True, slots=True)
+class RunItHere:
+    """The answer to a task that raised an error, or that no process could run. The caller may run it itself."""
+
+    error: Exception
+
+
+Answer: TypeAlias = Done[Any] | Lost[Any] | RunItHere
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A message that the process of a followed task sent before its answer."""
+
+    value: Any
+
+
+class _ReasonToEnd(IntEnum):
+    # Why a process ended itself. The number is in memory that it shares with the session.
+
+    NONE = 0
+    STUCK = 1
+    EXHAUSTED = 2
+    WORLD_STUCK = 3
+
+
+class WorkerState(Enum):
+    """The states of a process. Only `_Worker` sets the first three, and only `WorkerPool._lose` the others."""
+
+    STARTED = "started, without a task so far"
+    IDLE = "waits for a task"
+    BUSY = "runs a task"
+    DEAD = "died in a task"
+    HUNG = "did not return from a task"
+
+
+@dataclass(eq=False)
+class WorkerPool(Generic[TaskT]):
+    """A pool of up to ``size`` processes, which start on demand. Use the pool in a ``with`` statement.
 
     Args:
         work: the function that runs a task. Tasks and results must be picklable. If processes are not forked, ``work``
@@ -122,7 +184,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         clock: a monotonic clock [s].
     """
 
-    work: Work[ResultT]
+    work: Work
     size: int
     _: KW_ONLY
     method: str = START_METHOD
@@ -146,9 +208,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
         self._followed: set[TaskT] = set()
-        self._said: deque[tuple[TaskT, Any]] = deque()
-        self._answers: dict[TaskT, ResultT | Exception] = {}
-        self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
+        self._said: list[tuple[TaskT, Said | Answer]] = []
+        self._answers: dict[TaskT, Answer] = {}
+        # The first deaths in tasks that are tried a second time.
+        self._suspects: dict[TaskT, Lost[TaskT]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -158,9 +221,15 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
         """Start these tasks in order, and drop earlier tasks whose answers were not fetched."""
-        self._pending, self._wanted, self._followed = deque(), set(), set()
-        self._said, self._answers, self._suspects = deque(), {}, {}
+        self._forget()
+        self._answers, self._suspects = {}, {}
         self.add_all(tasks)
+
+    def _forget(self) -> None:
+        self._pending = deque()
+        self._wanted = set()
+        self._followed = set()
+        self._said = []
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
         for task in tasks:
@@ -176,14 +245,14 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._send()
 
     def follow(self, task: TaskT) -> None:
-        """Add a task, so that :meth:`hear` returns its messages and then its answer."""
+        """Add a task, so that :meth:`messages` returns what its process says, and then its answer."""
         self._followed.add(task)
         self.add_all([task])
 
-    def hear(self, *, waits: bool) -> tuple[TaskT, Any] | None:
-        """Return a followed task with its next message or its answer.
+    def messages(self, *, waits: bool) -> list[tuple[TaskT, Said | Answer]]:
+        """Return the messages and answers of followed tasks, in the order of arrival.
 
-        If ``waits`` is false, return None if there is no message yet.
+        If ``waits`` is true, wait for at least one. Otherwise, the list may be empty.
 
         Raises:
             OutOfTime: if the search has run out of time. By then, all processes have ended.
@@ -191,9 +260,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
         while waits and not self._said:
             self._receive()
             self._send()
-        return self._said.popleft() if self._said else None
+        said = self._said
+        self._said = []
+        return said
 
-    def fetch(self, task: TaskT) -> ResultT | Exception:
+    def fetch(self, task: TaskT) -> Answer:
         """Wait for the answer to a task. An answer can be fetched only once.
 
         Raises:
@@ -202,25 +273,25 @@ class WorkerPool(Generic[TaskT, ResultT]):
         # A process may be killed because all processes together use too much memory, so its task is tried again while
         # no other task runs. Any other death counts only if a second process dies as well.
         self.add_first([task])
-        first: ProcessLostError[TaskT] | None = None
+        first: list[Lost[TaskT]] = []
         while task not in self._answers:
             if task not in self._suspects:
                 self._receive()
-            elif self._suspects[task].end == KILLED:
+            elif self._suspects[task].death.end == KILLED:
                 self._answers[task] = self._alone(task)
-            elif first is None:
-                first = self._suspects.pop(task)
-                self._pending.appendleft(task)
-            else:
+            elif first:
                 self._answers[task] = self._suspects.pop(task)
+            else:
+                first.append(self._suspects.pop(task))
+                self._pending.appendleft(task)
             self._send()
         self._wanted.discard(task)
         answer = self._answers.pop(task)
-        if first is not None and not isinstance(answer, ProcessLostError):
-            self.recovered.append(first)
+        if not isinstance(answer, Lost):
+            self.recovered += [each.death for each in first]
         return answer
 
-    def completed(self) -> Iterator[tuple[TaskT, ResultT | Exception]]:
+    def completed(self) -> Iterator[tuple[TaskT, Answer]]:
         """Yield each task with its answer as soon as the answer is available. No task is tried twice."""
         while self._wanted:
             self._receive()
@@ -243,8 +314,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
         deadline = self.clock() + self.farewell
         try:
             for worker in ending:
-                if has_leave and (left := worker.farewell(deadline, self.clock)) is not None:
-                    self.left(left.said)
+                if has_leave:
+                    for left in worker.farewell(deadline, self.clock):
+                        self.left(left.said)
                 worker.process.join(max(0.0, deadline - self.clock()))
         finally:  # also after another interrupt
             for worker in list(self._workers):
@@ -253,19 +325,21 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     @property
     def _busy(self) -> list[_Worker[TaskT]]:
-        return [worker for worker in self._workers if worker.task is not None]
+        return [worker for worker in self._workers if worker.state is WorkerState.BUSY]
 
-    def _alone(self, task: TaskT) -> ResultT | Exception:
+    def _alone(self, task: TaskT) -> Answer:
         while self._busy:
             self._receive()
         first = self._suspects.pop(task)
         self._give(task)
         while task not in self._answers and task not in self._suspects:
             self._receive()
-        second = self._suspects.pop(task, None) or self._answers[task]
-        if not isinstance(second, ProcessLostError):
-            self.recovered.append(first)
-        return second
+        if task in self._suspects:
+            return self._suspects.pop(task)
+        answer = self._answers[task]
+        if not isinstance(answer, Lost):
+            self.recovered.append(first.death)
+        return answer
 
     def _send(self) -> None:
         while self._pending and (self.failure or len(self._busy) < self.size):
@@ -275,26 +349,33 @@ class WorkerPool(Generic[TaskT, ResultT]):
         if self.failure:
             self._fail(task, self.failure)
             return
-        idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
-            # Processes start here, on demand. After a death, faulthandler is off in new ones, see _quietly.
-            while idle is None or not idle.take(task, self.clock()):
-                if idle is not None:  # It ended between two tasks, so no task is the cause.
-                    self._remove(idle)
-                others = [worker.connection for worker in self._workers]
-                work = partial(_quietly, self.work) if self._has_lost else self.work
-                idle = _Worker(
-                    self._context, work, others, self.grace, self.idle, self.leave, self.farewell
-                )
-                self._workers.append(idle)
+            for idle in [each for each in self._workers if each.state is not WorkerState.BUSY][:1]:
+                if idle.take(task, self.clock()):
+                    return
+                self._remove(idle)  # It ended between two tasks, so no task is the cause.
+            # Processes start here, on demand.
+            while not self._start().take(task, self.clock()):
+                self._remove(self._workers[-1])
         except OSError as error:
             self._fail(task, str(error))
 
+    def _start(self) -> _Worker[TaskT]:
+        others = [worker.connection for worker in self._workers]
+        work = self.work
+        if self._has_lost:  # after a death, faulthandler is off in new processes
+            work = partial(_quietly, work)
+        worker = _Worker[TaskT](
+            self._context, work, others, self.grace, self.idle, self.leave, self.farewell
+        )
+        self._workers.append(worker)
+        return worker
+
     def _fail(self, task: TaskT, reason: str) -> None:
         self.failure = reason
-        self._answer(task, RuntimeError(reason))
+        self._answer(task, RunItHere(RuntimeError(reason)))
 
-    def _answer(self, task: TaskT, answer: Any) -> None:
+    def _answer(self, task: TaskT, answer: Answer) -> None:
         if task in self._followed:
             self._followed.discard(task)
             self._wanted.discard(task)
@@ -321,66 +402,72 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _look_at(self, worker: _Worker[TaskT], *, is_heard: bool) -> None:
         # The process is checked before the pipe is read. If it has ended, its last answer is in the pipe by then.
-        task, is_gone = worker.task, not worker.process.is_alive()
-        if task is None:
+        if worker.state is not WorkerState.BUSY:
             return
+        is_gone = not worker.process.is_alive()
+        task = worker.task
         if is_heard or worker.connection.poll():
-            heard = worker.hear()
-            if heard is not None:
-                is_done, said = heard
-                if isinstance(said, _Left):
-                    self._has_left(task, worker, said)
-                elif task in self._wanted and is_done:
-                    self._answer(task, said)
-                elif task in self._followed:
-                    self._said.append((task, said))
-                return
-            is_gone = True
+            match worker.hear():
+                case _Gone():
+                    is_gone = True
+                case _Left() as left:
+                    self._has_left(task, worker, left)
+                    return
+                case Said() as said:
+                    if task in self._followed:
+                        self._said.append((task, said))
+                    return
+                case Done() | Lost() | RunItHere() as answer:
+                    if task in self._wanted:
+                        self._answer(task, answer)
+                    return
+                case other:
+                    assert_never(other)
         # The process sent nothing, so find out why. If it gave a reason itself, that counts, even if it is dead by now.
-        if worker.gave_up.value == EXHAUSTED:
-            self._lose(task, worker, OUT_OF_MEMORY)
-        elif worker.gave_up.value == WORLD_STUCK:
-            self._lose(task, worker, WORLD_HANGS, is_hang=True)
-        elif worker.gave_up.value == STUCK:
-            how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
-            self._lose(task, worker, how, is_hang=True)
-        elif is_gone:
-            # the pipe was closed by a message above the largest size
-            is_garbled = not worker.connection.readable
-            how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
-            self._lose(task, worker, how if is_garbled else "")
-        elif worker.silence(self.clock()) > self.patience:
-            self._lose(
-                task,
-                worker,
-                f"did not answer for {self.patience:.1f} s and was killed",
-                is_hang=True,
-            )
+        match worker.gave_up.value:
+            case _ReasonToEnd.EXHAUSTED:
+                self._lose(worker, WorkerState.DEAD, OUT_OF_MEMORY)
+            case _ReasonToEnd.WORLD_STUCK:
+                self._lose(worker, WorkerState.HUNG, WORLD_HANGS)
+            case _ReasonToEnd.STUCK:
+                how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
+                self._lose(worker, WorkerState.HUNG, how)
+            case _ if is_gone and worker.connection.readable:
+                self._lose(worker, WorkerState.DEAD)
+            case _ if is_gone:
+                # the pipe was closed by a message above the largest size
+                how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
+                self._lose(worker, WorkerState.DEAD, how)
+            case _ if worker.silence(self.clock()) > self.patience:
+                how = f"did not answer for {self.patience:.1f} s and was killed"
+                self._lose(worker, WorkerState.HUNG, how)
 
     def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
         self.left(left.said)
         if left.in_task:
-            self._lose(task, worker, ending(-signal.SIGTERM))
+            self._lose(worker, WorkerState.DEAD, ending(-signal.SIGTERM))
             return
         self._remove(worker)
         if task in self._wanted:
             self._give(task)
 
-    def _lose(
-        self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False
-    ) -> None:
+    def _lose(self, worker: _Worker[TaskT], state: WorkerState, how: str = "") -> None:
+        # Without ``how``, the exit code describes the end, which is known once the process is removed.
+        task = worker.task
+        worker.state = state
         self._remove(worker)
         self._has_lost = True
-        lost = ProcessLostError(
+        is_hang = state is WorkerState.HUNG
+        death = ProcessLostError(
             task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang
         )
         # A process that dies before its first task was not killed by a task, and the next process would die, too.
         if not worker.has_begun:
-            self._fail(task, self.failure or f"a process {lost.end} before its first task")
+            self._fail(task, self.failure or f"a process {death.end} before its first task")
         elif task in self._wanted and (is_hang or task in self._followed):
-            self._answer(task, lost)
+            self._answer(task, Lost(death))
         elif task in self._wanted:
-            self._suspects[task] = lost
+            self._suspects[task] = Lost(death)
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
         # End the children first, because their ids cannot be reused as long as their parent exists.
@@ -398,15 +485,16 @@ class _Worker(Generic[TaskT]):
     def __init__(
         self,
         context: Any,
-        work: Work[Any],
+        work: Work,
         others: list[Connection],
         grace: float,
         idle: float | None,
         leave: Callable[[], Any] | None,
         farewell: float,
     ) -> None:
-        self.task: TaskT | None = None
-        self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
+        self.state = WorkerState.STARTED
+        self._task: TaskT
+        self.gave_up = context.RawValue("b", _ReasonToEnd.NONE)  # why it ended itself
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
@@ -434,11 +522,22 @@ class _Worker(Generic[TaskT]):
     def has_begun(self) -> bool:
         return bool(self._beats.value)
 
+    @property
+    def task(self) -> TaskT:
+        """The task that a busy process runs."""
+        assert self.state is WorkerState.BUSY, self.state  # noqa: S101
+        return self._task
+
     def take(self, task: TaskT, now: float) -> bool:
         # The result is False if the process has ended.
-        self._asked_at = None if self.has_begun else now
-        self.task = task if self.send(task) else None
-        return self.task is not None
+        self._asked_at = None
+        if not self.has_begun:
+            self._asked_at = now
+        if not self.send(task):
+            return False
+        self._task = task
+        self.state = WorkerState.BUSY
+        return True
 
     def send(self, task: TaskT | None) -> bool:
         try:
@@ -449,35 +548,37 @@ class _Worker(Generic[TaskT]):
 
     def leaves(self, *, interrupted: bool) -> bool:
         # Ask the process to end. The result is False if it must not be interrupted or has already ended.
-        if self.task is not None and not interrupted:
+        is_busy = self.state is WorkerState.BUSY
+        if is_busy and not interrupted:
             return False
         is_asked = self.send(None)
-        if self.task is not None and sys.platform != "win32" and self.process.is_alive():
+        if is_busy and sys.platform != "win32" and self.process.is_alive():
             os.kill(self.pid, signal.SIGTERM)
         return is_asked
 
-    def farewell(self, deadline: float, clock: Callable[[], float]) -> _Left | None:
-        # The last message of the process, or None.
+    def farewell(self, deadline: float, clock: Callable[[], float]) -> Iterator[_Left]:
+        # Yield the last message of the process, if it arrives before the deadline.
         while self.connection.readable and self.connection.poll(max(0.0, deadline - clock())):
-            heard = self.hear()
-            if heard is None or isinstance(heard[1], _Left):
-                return heard and heard[1]
-        return None
+            match self.hear():
+                case _Gone():
+                    return
+                case _Left() as left:
+                    yield left
+                    return
 
-    def hear(self) -> tuple[bool, Any] | None:
-        # (True, result), (False, message), or None if the process has ended.
+    def hear(self) -> Answer | Said | _Left | _Gone:
         try:
-            is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+            heard: Answer | Said | _Left = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
-            return None
+            return _Gone()
         except Exception as error:  # noqa: BLE001  (unpickling the user's objects may raise anything)
             expected = (
                 "expected a result that can be unpickled in the session, received one that raises"
             )
-            is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
-        if is_done:
-            self.task = None
-        return is_done, said
+            heard = RunItHere(RuntimeError(f"{expected} {type(error).__name__}: {error}"))
+        if isinstance(heard, (Done, RunItHere)):
+            self.state = WorkerState.IDLE
+        return heard
 
     def silence(self, now: float) -> float:
         # The time [s] for which the process has not answered a signal.
@@ -492,9 +593,18 @@ class _Worker(Generic[TaskT]):
         return 0.0
 
 
-class _Left(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Left:
+    # The last message of a process: the result of its `leave`, and whether it was interrupted in a task.
+
     said: Any
     in_task: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Gone:
+    # Nothing more can be heard from a process, because its end of the pipe is closed.
+    pass
 
 
 def ending(code: int | None) -> str:
@@ -513,9 +623,10 @@ def _end_children(pid: int) -> list[int]:
             for child in map(int, listed.read_text("utf-8").split()):
                 ended += [*_end_children(child), child]
                 with suppress(OSError):
-                    os.kill(child, signal.SIGKILL) if os.getpgid(child) != child else os.killpg(
-                        child, signal.SIGKILL
-                    )
+                    if os.getpgid(child) == child:
+                        os.killpg(child, signal.SIGKILL)
+                    else:
+                        os.kill(child, signal.SIGKILL)
                     descriptor = os.pidfd_open(child)
                     select.select([descriptor], [], [], POLL)  # until its files are closed
                     os.close(descriptor)
@@ -555,14 +666,14 @@ def _end_with_session(patience: float | None) -> None:
             threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
 
 
-def _quietly(work: Work[Any], task: Any, tell: Callable[[Any], object]) -> Any:
+def _quietly(work: Work, task: Any, tell: Callable[[Any], object]) -> Any:
     # The first process that died has printed its stack, in about a hundred lines, which need not be repeated.
     faulthandler.disable()
     return work(task, tell)
 
 
 def _serve(
-    work: Work[Any],
+    work: Work,
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
@@ -577,7 +688,7 @@ def _serve(
     is_leaving = may_raise = in_task = False
 
     def tell(said: object) -> None:
-        connection.send_bytes(_sendable((False, said)))
+        connection.send_bytes(_sendable(Said(said)))
 
     def beat(*signalled: object) -> None:
         beats.value += 1
@@ -590,7 +701,7 @@ def _serve(
         if may_raise:  # otherwise, the process first sends its answer completely, and then ends
             raise KeyboardInterrupt  # no run mistakes it for an error of its policy
 
-    def end(why: int = STUCK) -> None:
+    def end(why: _ReasonToEnd = _ReasonToEnd.STUCK) -> None:
         gave_up.value = why
         time.sleep(2 * POLL)  # meanwhile, the pool kills this process and its children
         os._exit(1)
@@ -611,7 +722,7 @@ def _serve(
     beat()
     if leave is not None:
         signal.signal(signal.SIGTERM, interrupt)
-    resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
+    resort = LastResort(end=end, grace=grace, end_world=partial(end, _ReasonToEnd.WORLD_STUCK))
     with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             may_raise = True
@@ -626,23 +737,23 @@ def _serve(
                 may_raise = True
                 if is_leaving:  # the signal came while the task was read, and raised nothing
                     raise KeyboardInterrupt
-                said = _sendable((True, work(task, tell)))
+                said = _sendable(Done(work(task, tell)))
                 may_raise = False
             # not sent: the session would run the task itself and use up its own memory
             except MemoryError:
-                end(EXHAUSTED)
+                end(_ReasonToEnd.EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
                 may_raise, in_task = False, is_leaving
                 if in_task:
                     break
-                said = pickle.dumps((True, _portable(error)))
+                said = pickle.dumps(RunItHere(_portable(error)))
             connection.send_bytes(said)
         may_raise = False
     if leave is not None:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         with suppress(OSError):  # the session may have ended
-            tell(_Left(leave(), in_task))
+            connection.send_bytes(_sendable(_Left(leave(), in_task)))
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from itertools import filterfalse, islice
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Self, TypeAlias
+from typing import Any, Self, TypeAlias, assert_never
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import (
@@ -30,7 +30,12 @@ from pytest_pafot.execution.pool import (
     GRACE,
     IGNORED,
     START_METHOD,
+    Answer,
+    Done,
+    Lost,
     ProcessLostError,
+    RunItHere,
+    Said,
     WorkerPool,
 )
 from pytest_pafot.findings.finding import Expect
@@ -155,9 +160,17 @@ NOT_TRIED_HERE = (
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
+Factory: TypeAlias = Callable[..., Any]  # creates a policy for a run
+RunScenario: TypeAlias = Callable[[Scenario, Factory], Any]  # runs a scenario
 
-# The result of runs in a process, the captured output, and the duration of the runs [s].
-Timed: TypeAlias = tuple[Any, CapturedOutput, float]
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """The result of runs in a process, the output that they printed, and their duration [s]."""
+
+    value: Any
+    output: CapturedOutput
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,25 +186,34 @@ class Chunk:
         return f"scenarios {self.first} to {self.end - 1} of the search"
 
 
+def in_world(world: BaseWorld) -> RunScenario:
+    """Return the method with which runs of a search are simulated."""
+    return world.rollout
+
+
+def in_gym(world: BaseWorld) -> RunScenario:
+    """Return the method that simulates a run in highway-env's own environment."""
+    return world.rollout_in_gym
+
+
+Simulate: TypeAlias = Callable[[BaseWorld], RunScenario]  # one of the two functions above
+
+
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A task for a process that runs a scenario with a method of the world and sends the complete trace."""
+    """A task for a process that runs a scenario and sends the complete trace."""
 
     scenario: Scenario
-    method: str = "rollout"
+    simulate: Simulate = in_world
 
     def __str__(self) -> str:
         return str(self.scenario)
 
 
-# A result, or an exception. Unless it is a ProcessLostError, this process may run the scenario again.
-Answer: TypeAlias = Timed | Exception
+Task: TypeAlias = Scenario | Whole  # a process answers a Scenario with the result of `Job.read`
 
-# A pool for scenarios and Whole tasks, which get one Answer each, and for Chunks, which send several Timed results.
-ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-
-# runs a scenario with the policies of a factory
-RunScenario: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]
+# A pool for tasks, which get one answer each, and for Chunks, whose processes send several Timed results.
+ScenarioPool: TypeAlias = WorkerPool[Any]
 
 Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
 
@@ -210,14 +232,18 @@ class Job:
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()  # the folder of the project, whose modules are sent to other machines
-    # returns the value that a process sends instead of a trace
-    read: Callable[[Trace], Any] | None = None
-    # Runs a chunk in a process.
-    drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
-    own: RunScenario | None = None  # runs scenarios instead of the world
+    read: Callable[[Trace], Any] | None = (
+        None  # returns the value that a process sends instead of a trace
+    )
+    # Runs a chunk in a process, and passes each Timed result, or a RunItHere, to the last argument.
+    drive: (
+        Callable[[Chunk, Job, CrashRecord, Callable[[Timed | RunItHere], object]], None] | None
+    ) = None
+    simulate: Simulate = in_world
     remark: str = ""  # an addition to the note on the use of processes
-    # the name of the policy if it is the reference of a search; empty for the tested one
-    reference: str = ""
+    reference: str = (
+        ""  # the name of the policy if it is the reference of a search; empty for the tested one
+    )
 
     @property
     def patience(self) -> float:
@@ -234,26 +260,18 @@ class Job:
             "farewell": FAREWELL + CLOSING,
         }
 
-    @staticmethod
-    def run(
-        made: Callable[[], Job], scenario: Scenario, method: str = "rollout"
-    ) -> tuple[Trace, CapturedOutput, float]:
-        """Run a scenario of the job that ``made`` returns. Return the trace, the output and the duration [s]."""
-        with capture_output() as output:
-            job = made()
-            started = monotonic()
-            trace = job.driving(job.own or method)(scenario, job.policy.factory)
-            seconds = monotonic() - started
-        return trace, output, seconds
-
-    def driving(self, drive: str | RunScenario) -> RunScenario:
-        """Wrap a function, or a method of the world, so that it runs with seeded global random generators."""
-        return partial(
-            GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive
-        )
-
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
         return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
+
+
+def run_timed(make_job: Callable[[], Job], scenario: Scenario, simulate: Simulate) -> Timed:
+    """Run a scenario of the job that ``make_job`` returns, and capture the output of both."""
+    with capture_output() as output:
+        job = make_job()
+        started = monotonic()
+        trace = GENERATORS.run(simulate(job.world), scenario, job.policy.factory)
+        seconds = monotonic() - started
+    return Timed(trace, output, seconds)
 
 
 class ExecutionError(Exception):
@@ -275,13 +293,12 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 "expected an ADS factory that can be pickled, because processes cannot be forked here, received the "
                 f"error {type(error).__name__}: {error}. Use a class or a function from an importable module"
             ) from None
-    grace = min(IGNORED, GRACE)
     return WorkerPool(
         work,
         size,
         method=METHOD,
         patience=job.patience,
-        grace=grace,
+        grace=min(IGNORED, GRACE),
         ended=partial(_forget, job),
         **job.closing,
     )
@@ -294,36 +311,43 @@ def _close_simulators() -> CapturedOutput:
 
 
 def _run_task(
-    job: Job, record: CrashRecord, task: Scenario | Whole | Chunk, say: Callable[[Timed], object]
-) -> Timed | None:
+    job: Job, record: CrashRecord, task: Task | Chunk, say: Callable[[Timed | RunItHere], object]
+) -> Timed:
     # The record is closed after each task, because nothing would remove it after the session.
     with record, GENERATORS.held():
-        if isinstance(task, Whole):
-            return run_recorded(job, record, task.scenario, None, task.method)
-        if not isinstance(task, Chunk):
-            return run_recorded(job, record, task, job.read)
-        assert job.drive is not None  # noqa: S101  (otherwise, there are no chunks)
-        job.drive(task, job, record, say)
-        return None
+        match task:
+            case Whole(scenario, simulate):
+                return run_recorded(job, record, scenario, simulate=simulate)
+            case Chunk():
+                assert job.drive is not None  # noqa: S101  (otherwise, there are no chunks)
+                job.drive(task, job, record, say)
+                return Timed(None, CapturedOutput(), 0.0)
+            case Scenario():
+                return run_recorded(job, record, task, read=job.read)
+            case _:
+                assert_never(task)
 
 
 def run_recorded(
     job: Job,
     record: CrashRecord,
     scenario: Scenario,
-    read: Callable[[Trace], Any] | None,
-    method: str = "rollout",
+    *,
+    simulate: Simulate | None = None,
+    read: Callable[[Trace], Any] | None = None,
 ) -> Timed:
-    """Run a scenario while its crash record is on disk. ``read`` is a function like ``Job.read``, or None."""
+    """Run a scenario while its crash record is on disk, and return the trace or what ``read`` makes of it."""
+    # Only the record tells the next session in which scenario this process died, so it is on disk before the run.
     record.write(scenario, reference=job.reference)
-    trace, output, seconds = Job.run(lambda: job, scenario, method)
+    ran = run_timed(lambda: job, scenario, simulate or job.simulate)
     if read is None:
-        return trace, output, seconds
-    made = None
-    # it is raised again in the session, which reads the trace
-    with capture_output() as said, suppress(Exception):
-        made = read(trace)
-    return (trace, output, seconds) if made is None else (made, output.followed_by(said), seconds)
+        return ran
+    with capture_output() as said:
+        try:
+            value = read(ran.value)
+        except Exception:  # noqa: BLE001  (it is raised again in the session, which reads the trace)
+            return ran
+    return Timed(value, ran.output.followed_by(said), ran.seconds)
 
 
 def _forget(job: Job, pid: int) -> None:
@@ -331,36 +355,6 @@ def _forget(job: Job, pid: int) -> None:
     for leftover in left_by(job.owner, job.records):
         if leftover.pid == pid:
             leftover.discard()
-
-
-def made_from(answer: Answer) -> Any:
-    """Return an answer's result and repeat its output, or return None if this process must run the scenario.
-
-    Raises:
-        ProcessLostError: if the process died or hung.
-    """
-    __tracebackhide__ = True
-    if isinstance(answer, ProcessLostError):
-        answer.task = getattr(answer.task, "scenario", answer.task)  # the scenario of a Whole task
-        raise answer
-    if isinstance(answer, Exception):
-        return None
-    answer[1].repeat()
-    return answer[0]
-
-
-def made_apart(answer: Answer) -> Any:
-    """Return the result of an answer, which comes from another process because the policy must not run in this one.
-
-    Raises:
-        Exception: any exception of the other process.
-    """
-    __tracebackhide__ = True
-    made = made_from(answer)
-    if made is None and isinstance(answer, Exception):
-        answer.add_note(NOT_TRIED_HERE)
-        raise answer
-    return made
 
 
 def expectation(lost: LostRun) -> Expect:
@@ -406,6 +400,14 @@ WARM_RUNS = 2  # number of runs after the first one that decide whether other pr
 AHEAD, AHEAD_ELSEWHERE = 4, 128
 
 
+@dataclass(frozen=True, slots=True)
+class NotStarted(RunItHere):
+    """The answer while no process has started. The duration of the run decides whether processes start."""
+
+
+NOT_SENT = LookupError("no process has this task")
+
+
 class Here:
     """A runner that simulates all scenarios in this process."""
 
@@ -426,13 +428,13 @@ class Here:
         self._held.close()
 
     def once(
-        self, scenario: Scenario, drive: str | RunScenario = "rollout", *, most: int | None = None
-    ) -> Any:
-        """Run a scenario, and return the trace, or the result of the function ``drive``.
+        self, scenario: Scenario, simulate: Simulate = in_world, *, most: int | None = None
+    ) -> Trace:
+        """Run a scenario, and return the trace.
 
         Args:
             scenario: the scenario to run.
-            drive: a function that runs a scenario, or the name of such a method of the world.
+            simulate: :func:`in_world` or :func:`in_gym`.
             most: the number of decisions after which the run can end with an error.
 
         Raises:
@@ -441,23 +443,27 @@ class Here:
             Exception: any exception of the world or the factory.
         """
         __tracebackhide__ = True
-        made = self._once(scenario, drive, most)
-        if isinstance(made, Trace):
-            # A run in another process can have more decisions than ``most``, so their number is limited here.
-            # the same for any number of processes
-            self.decisions += min(len(made.actions), most or sys.maxsize)
-        return made
+        trace: Trace = self._run(scenario, simulate, most)
+        # A run in another process can have more decisions than ``most``, so their number is limited here. It is the
+        # same for any number of processes.
+        self.decisions += min(len(trace.actions), most or sys.maxsize)
+        return trace
+
+    def once_by(self, scenario: Scenario, drive: RunScenario) -> Any:
+        """Run a scenario by a function, and return its result. Exceptions are as for :meth:`once`."""
+        __tracebackhide__ = True
+        return Here._run(self, scenario, lambda world: drive)
 
     def results(
         self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]
-    ) -> Iterator[Any]:
-        """Yield the result of each scenario in order: the value of ``Job.read``, a trace, or a ``ProcessLostError``.
+    ) -> Iterator[Done[Any] | Lost[Any]]:
+        """Yield the answer for each scenario in order: the value of ``Job.read`` or a trace, or a lost process.
 
         ``skips`` is called just before each scenario runs. If it returns True, the scenario is skipped.
         """
         __tracebackhide__ = True
         for scenario in filterfalse(skips, scenarios):
-            yield self._once(scenario)
+            yield Done(self._run(scenario))
 
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce scenarios for :meth:`once`, which other processes can run in advance.
@@ -479,15 +485,16 @@ class Here:
         """The mean duration [s] of the runs so far, excluding the first run, or 0 if it is unknown."""
         return 0.0
 
-    def _once(
-        self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None
+    def _run(
+        self, scenario: Scenario, simulate: Simulate = in_world, most: int | None = None
     ) -> Any:
         __tracebackhide__ = True
+        # Before the run, because the run may end this process.
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
-        return self.job.driving(drive)(
-            scenario, factory if most is None else end_after(factory, most)
-        )
+        if most is not None:
+            factory = end_after(factory, most)
+        return GENERATORS.run(simulate(self.job.world), scenario, factory)
 
 
 class Apart(Here):
@@ -517,15 +524,17 @@ class Apart(Here):
         self._is_only = is_only
         self._cluster = cluster
         self._clock = clock
-        # Processes start only when a run turns out to be slow, see _learn.
         # announced runs that were not yet requested, in order
-        self._expected: dict[Scenario | Whole, None] = {}
+        self._expected: dict[Task, None] = {}
         # process deaths in earlier pools, in scenarios that succeeded later
         self.recovered: list[LostRun] = []
+        # Processes start only when a run turns out to be slow, see _learn.
         self._pool: ScenarioPool | None = None
         self._failure = ""
-        self._is_measured = self._drives = False
-        self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
+        self._drives = False  # True if processes run chunks
+        # all runs, and the runs before processes were started
+        self._runs = 0
+        self._runs_before = 0
         self._warm_seconds = 0.0
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -536,12 +545,10 @@ class Apart(Here):
 
     def results(
         self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]
-    ) -> Iterator[Any]:
+    ) -> Iterator[Done[Any] | Lost[Any]]:
         __tracebackhide__ = True
-        coming, most = (
-            iter(scenarios),
-            AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers,
-        )
+        coming = iter(scenarios)
+        most = AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
         ahead = deque[Scenario]()
         while True:
             # New scenarios are sent while half of the old ones are still to be run, so that no process waits.
@@ -552,14 +559,17 @@ class Apart(Here):
             if not ahead:
                 return
             scenario = ahead.popleft()
+            # The search may have learnt meanwhile that a process dies in it.
             if skips(scenario):
                 self._expected.pop(scenario, None)
                 continue
-            try:
-                made = self._made(scenario)
-            except ProcessLostError as lost:
-                made = lost
-            yield made
+            match self._answer(scenario):
+                case Done() | Lost() as answer:
+                    yield answer
+                case RunItHere() as why:
+                    yield Done(self._run_instead(why, scenario))
+                case other:
+                    assert_never(other)
 
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         if not more:
@@ -568,7 +578,38 @@ class Apart(Here):
                 self._pool.expect(())
         self._give(map(Whole, scenarios))
 
-    def _give(self, tasks: Iterable[Scenario | Whole]) -> None:
+    def once_by(self, scenario: Scenario, drive: RunScenario) -> Any:
+        __tracebackhide__ = True
+        if not self._is_only:
+            return super().once_by(scenario, drive)
+        # Only a process that is forked now has the function. Its death counts even if a second process survives.
+        with pool_for(replace(self.job, simulate=lambda world: drive, read=None), 1) as pool:
+            answer = self._fetched(scenario, pool)
+        for death in pool.recovered:
+            answer = Lost(death)
+        match self._checked(answer):
+            case Done(value):
+                return value
+            case Lost(death):
+                raise death
+
+    def _run(
+        self, scenario: Scenario, simulate: Simulate = in_world, most: int | None = None
+    ) -> Any:
+        __tracebackhide__ = True
+        if simulate is not in_world and not self._is_only:
+            return super()._run(scenario, simulate, most)
+        match self._answer(Whole(scenario, simulate)):
+            case Done(trace):
+                return trace
+            case Lost(death):
+                raise death
+            case RunItHere() as why:
+                return self._run_instead(why, scenario, most)
+            case other:
+                assert_never(other)
+
+    def _give(self, tasks: Iterable[Task]) -> None:
         if self._pool is None:
             if self.is_elsewhere or self._workers > 1:
                 self._expected.update(dict.fromkeys(tasks))
@@ -577,38 +618,59 @@ class Apart(Here):
             self._expected[task] = None
             self._pool.add_all([task])
 
-    def _once(
-        self, scenario: Scenario, drive: str | RunScenario = "rollout", most: int | None = None
-    ) -> Any:
+    def _answer(self, task: Task) -> Answer:
+        # The answer of the process that ran a task. Its duration is taken into account, and its output is repeated.
         __tracebackhide__ = True
-        if not self._is_only:
-            return (
-                self._made(scenario, Whole(scenario), most)
-                if drive == "rollout"
-                else super()._once(scenario, drive)
-            )
-        if isinstance(drive, str):
-            return self._made(scenario, Whole(scenario, drive))
-        # Only a process that is forked now has the function. Its death counts even if a second process survives.
-        with pool_for(replace(self.job, own=drive, read=None), 1) as pool:
-            answer = self._fetched(scenario, pool)
-        return made_apart(pool.recovered[0] if pool.recovered else answer)
-
-    def _made(
-        self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None
-    ) -> Any:
-        __tracebackhide__ = True
-        # None means that no process has the task or can run it, so this process does.
-        made = self._collect(task or scenario)
-        if made is None:
-            started = self._clock()
-            made = super()._once(scenario, most=most)
-            if self._is_measured:
-                self._is_measured = False
-                self._learn(self._clock() - started)
-        elif isinstance(made, Trace):  # the evaluation of the run may end this process
+        if self._is_only:
+            self._expected.pop(task, None)
+            answer = self._fetched(task)
+            # Only runs in the world have the duration of the runs that are still to come.
+            is_usual = not isinstance(task, Whole) or task.simulate is in_world
+            if isinstance(answer, Done) and is_usual:
+                self.count(1, answer.value.seconds)
+        elif task not in self._expected:
+            return RunItHere(NOT_SENT)
+        else:
+            if self.is_elsewhere and self._pool is None:
+                self._begin()
+            del self._expected[task]
+            if self._pool is None:
+                return NotStarted(NOT_SENT)
+            answer = self._pool.fetch(task)
+            if isinstance(answer, Done) and not self.is_elsewhere:
+                self._learn(answer.value.seconds)
+        answer = self._checked(answer)
+        if isinstance(answer, Done) and isinstance(answer.value, Trace):
+            # The evaluation of the run may end this process.
+            scenario = task.scenario if isinstance(task, Whole) else task
             self._record.write(scenario, reference=self.job.reference)
-        return made
+        return answer
+
+    def _checked(self, answer: Answer) -> Answer:
+        __tracebackhide__ = True
+        match answer:
+            case Done(timed):
+                timed.output.repeat()
+                return Done(timed.value)
+            case Lost(death):
+                # Whoever receives it knows scenarios and no tasks.
+                death.task = getattr(death.task, "scenario", death.task)
+                return Lost(death)
+            case RunItHere(error) if self._is_only:
+                error.add_note(NOT_TRIED_HERE)
+                raise error
+            case RunItHere():
+                return answer
+            case other:
+                assert_never(other)
+
+    def _run_instead(self, why: RunItHere, scenario: Scenario, most: int | None = None) -> Any:
+        __tracebackhide__ = True
+        started = self._clock()
+        trace = super()._run(scenario, most=most)
+        if isinstance(why, NotStarted):
+            self._learn(self._clock() - started)
+        return trace
 
     @property
     def notes(self) -> list[str]:
@@ -616,29 +678,33 @@ class Apart(Here):
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
             return list(getattr(self._pool, "notes"))  # noqa: B009
+        recoveries = [lost.recovery for lost in self.deaths]
         if self._is_only:
-            return [lost.recovery for lost in self.deaths]
+            return recoveries
         option = flag("workers", self._workers)
+        if self._runs_before and self._pool is not None and self._pool.failure:
+            used = f"{flag('workers')}: this process ran everything, because workers failed: {self._pool.failure}"
+            return [used, *recoveries]
         if self._runs_before:
             used = f"{option}: after {plural(self._runs_before, 'run')} in this process, the rest ran in workers"
-            used += self.job.remark
-            if self._pool is not None and self._pool.failure:
-                used = f"{flag('workers')}: this process ran everything, because workers failed: {self._pool.failure}"
-            return [used, *(lost.recovery for lost in self.deaths)]
+            return [used + self.job.remark, *recoveries]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
-        mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
+        mean, dear = 1000 * self.run_seconds, 1000 * DEAR
         return [
             f"{option} was not used, because runs took only {mean:.1f} ms. Workers help from {dear:g} ms per run"
         ]
 
     @property
     def in_use(self) -> int:
-        return 0 if self.is_elsewhere or self._pool is None or self._pool.failure else self._workers
+        is_unused = self.is_elsewhere or self._pool is None or self._pool.failure
+        return 0 if is_unused else self._workers
 
     @property
     def run_seconds(self) -> float:
-        return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
+        if self._runs <= 1:
+            return 0.0
+        return self._warm_seconds / (self._runs - 1)
 
     def drive(self, task: Chunk) -> bool:
         """Start a chunk in another process. Return False if no process can run it."""
@@ -650,9 +716,11 @@ class Apart(Here):
         self._drives = True
         return True
 
-    def hear(self, *, waits: bool) -> tuple[Chunk, Any] | None:
-        """Return the next message of a process that runs chunks, as :meth:`WorkerPool.hear` does."""
-        return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
+    def messages(self, *, waits: bool) -> list[tuple[Chunk, Said | Answer]]:
+        """Return the messages of processes that run chunks, as :meth:`WorkerPool.messages` does."""
+        if not isinstance(self._pool, WorkerPool):
+            return []
+        return self._pool.messages(waits=waits)
 
     def end(self) -> None:
         if self._pool is not None:
@@ -662,31 +730,11 @@ class Apart(Here):
 
     @property
     def deaths(self) -> list[LostRun]:
-        return [*self.recovered, *([] if self._pool is None else self._pool.recovered)]
-
-    def _collect(self, task: Scenario | Whole) -> Any:
-        # The result of another process, or None if this process must run the scenario.
-        __tracebackhide__ = True
-        if self._is_only:
-            self._expected.pop(task, None)
-            answer = self._fetched(task)
-            if isinstance(answer, tuple) and getattr(task, "method", "rollout") == "rollout":
-                self.count(1, answer[2])
-            return made_apart(answer)
-        if task not in self._expected:
-            return None
-        if self.is_elsewhere and self._pool is None:
-            self._begin()
-        del self._expected[task]
-        self._is_measured = self._pool is None
         if self._pool is None:
-            return None
-        answer = self._pool.fetch(task)
-        if isinstance(answer, tuple) and not self.is_elsewhere:
-            self._learn(answer[2])
-        return made_from(answer)
+            return [*self.recovered]
+        return [*self.recovered, *self._pool.recovered]
 
-    def _fetched(self, task: Scenario | Whole, own: ScenarioPool | None = None) -> Answer:
+    def _fetched(self, task: Task, own: ScenarioPool | None = None) -> Answer:
         __tracebackhide__ = True
         try:
             pool = own or self._pool or self._begin()
@@ -698,27 +746,25 @@ class Apart(Here):
                 f"{flag('isolate')}: expected a process for the ADS, but none works: {pool.failure}"
             )
         # A package may be missing on another machine. This must not be taken for an error of the ADS.
-        is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
-        if is_raised and self.is_elsewhere and own is None:
+        if isinstance(answer, RunItHere) and self.is_elsewhere and own is None:
+            raised = answer.error
             raise ExecutionError(
                 f"{flag('isolate')}: expected workers that can run every scenario, but one of them raised "
-                f"{type(answer).__name__}: {answer}. Install the missing packages on the workers, or search without "
+                f"{type(raised).__name__}: {raised}. Install the missing packages on the workers, or search without "
                 f"{flag('isolate')}, so that this process can run such scenarios"
             )
         return answer
 
     def count(self, runs: int, seconds: float) -> None:
-        self._warm_seconds += seconds if self._runs else 0.0
+        if self._runs:  # The first run is not in the mean, because it loads libraries.
+            self._warm_seconds += seconds
         self._runs += runs
 
     def _learn(self, seconds: float) -> None:
         self.count(1, seconds)
-        # The first run is not in the mean, because it loads libraries.
-        is_dear = (
-            self._warm_seconds >= DEAR * (self._runs - 1)
-            if self._runs > WARM_RUNS
-            else seconds >= DEAR
-        )
+        is_dear = seconds >= DEAR
+        if self._runs > WARM_RUNS:
+            is_dear = self._warm_seconds >= DEAR * (self._runs - 1)
         if (
             self._pool is not None
             and self._runs == WARM_RUNS + 1
@@ -726,7 +772,8 @@ class Apart(Here):
             and not self._drives
         ):
             self._pool.close(at_once=True)
-            self._pool, self._runs_before = None, 0
+            self._pool = None
+            self._runs_before = 0
         elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
             self._start()
 
@@ -738,7 +785,8 @@ class Apart(Here):
             self._failure = str(error)
 
     def _begin(self) -> ScenarioPool:
-        pool: ScenarioPool = (self._cluster or partial(pool_for, size=self._workers))(self.job)
+        make_pool = self._cluster or partial(pool_for, size=self._workers)
+        pool: ScenarioPool = make_pool(self.job)
         self._pool = pool
         pool.expect(self._expected)
         return pool
@@ -753,7 +801,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
     """
     __tracebackhide__ = True
 
-    def drive(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+    def drive(scenario: Scenario, ads: Factory) -> Trace:
         trace: Trace = GENERATORS.run(job.world.rollout, scenario, ads)
         # The evaluation can end the process, too. It needs the fixtures of the test, which only a forked process has.
         with capture_output(), suppress(BaseException):
@@ -761,13 +809,16 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
         return trace
 
     with job.crash_record() as record, Apart(job, record) as runner:
-        trace: Trace = runner.once(scenario, drive if forks() else "rollout")
-    if runner.deaths:
-        raise runner.deaths[0]
+        if forks():
+            trace: Trace = runner.once_by(scenario, drive)
+        else:
+            trace = runner.once(scenario)
+    for death in runner.deaths:
+        raise death
     return trace
 
 
-def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
+def drive_once(world: Any, scenario: Scenario, ads: Factory) -> Run:
     """Run a scenario for a test, and return the run.
 
     If policies are isolated, a forked process runs the scenario first, so that a crash does not end this process.

@@ -154,9 +154,8 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
             f"expected a parameter {RUN!r} that receives the simulated run, received the parameters "
             f"({', '.join(names)}). Add it, as in `def {item.name.partition('[')[0]}({RUN})`"
         )
-    if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(
-        item.originalname or ""
-    ):  # type: ignore[attr-defined]
+    function: str = item.originalname or ""  # type: ignore[attr-defined]
+    if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(function):
         raise RequestError(
             f"expected the parameter {RUN!r} to be free for the simulated run, but the test is already parametrised "
             "with it. Rename the parameter"

@@ -25,7 +25,7 @@ from pytest_pafot.searches.events import Note
 from pytest_pafot.searches.harness import Cause, SetupFaultError, cause_of, headline
 from pytest_pafot.searches.replays import Replays, describe_result, event_change
 from pytest_pafot.searches.request import Request
-from pytest_pafot.searches.store import cause
+from pytest_pafot.searches.results import cause_of_death
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 from pytest_pafot.world.driving.policy import wrap_ads
@@ -92,7 +92,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         _conclude_pass(*now.ran, sighting.label, detail, is_strict=request.settings.strict_drift)
         return
     if isinstance(raised, ProcessLostError):
-        pytest.fail(f"{line}: {cause(raised, 'delete the file')}", pytrace=False)
+        pytest.fail(f"{line}: {cause_of_death(raised, 'delete the file')}", pytrace=False)
     raise exception_for_pytest(raised)
 
 

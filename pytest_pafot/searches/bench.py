@@ -1,4 +1,4 @@
-"""The runs of one search: processes, limits, evaluation and crash records."""
+"""The runs of one search, each evaluated, and the second runs that confirm its failures."""
 
 from __future__ import annotations
 
@@ -6,21 +6,30 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import chain
-from typing import Any
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from typing import TypeAlias, assert_never
 
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Here, LostRun
+from pytest_pafot.execution.pool import Done, Lost, ProcessLostError
+from pytest_pafot.execution.runner import Here, LostRun, in_gym
 from pytest_pafot.findings.finding import disagreement, message_of
+from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import NOT_REPEATED
-from pytest_pafot.findings.verdict import Signature, Verdict
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace, first_difference
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searches.harness import Harness, refusals
-from pytest_pafot.searches.results import Driver, Examiner, Result, State
+from pytest_pafot.searches.results import (
+    Driver,
+    Examiner,
+    Failed,
+    Result,
+    State,
+    common_death,
+    result_of_death,
+)
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.process import REPLACED
@@ -31,9 +40,66 @@ from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
 JUDGED_OTHERWISE = "the same run got a different verdict when it was repeated"
 
 
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """A second run of a scenario that shows the failure again, and its verdict."""
+
+    run: Run
+    verdict: Verdict
+
+
+# The results of a second run. Each class has that run if it shows the failure, even if the runs differ.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Same:
+    """The second run does not differ from the first one."""
+
+    again: tuple[Repeated, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Differs:
+    """The second run differs from the first one, so the failure is flaky."""
+
+    why: str
+    again: tuple[Repeated, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoTime:
+    """The time ran out before the runs were compared."""
+
+    again: tuple[Repeated, ...] = ()
+
+
+Confirmation: TypeAlias = Same | Differs | NoTime
+
+
+@dataclass(slots=True, kw_only=True)
+class Budget:
+    """The limits of the work on findings."""
+
+    clock: Callable[[], float] = monotonic  # returns the time [s]
+    end: float = math.inf  # the time at which the work must end [s]
+    most: float = math.inf  # the largest number of decisions that the work can request
+    asked: int = (
+        0  # the number of decisions that it has requested; the same for any number of processes
+    )
+    is_at_limit: bool = False  # True if this number has reached its limit
+
+    def check(self) -> None:
+        """Raise OutOfTime if no time is left, or OutOfBudget if no decision is left."""
+        if self.clock() >= self.end:
+            raise OutOfTime
+        if self.asked >= self.most:
+            self.is_at_limit = True
+            raise OutOfBudget
+
+
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """The parts of a search that run scenarios and evaluate the runs."""
+    """The part of a search that runs scenarios and evaluates the runs."""
 
     harness: Harness
     runner: Here
@@ -41,17 +107,16 @@ class Bench:
     reference: Here | None = None  # the runner of the reference, if there is one
     driver: Driver | None = None  # runs chunks in other processes; None if that is impossible
     examiner: Examiner  # evaluates the runs that no other process has evaluated
-    clock: Callable[[], float] = monotonic  # returns the time [s]
+    budget: Budget = field(default_factory=Budget)
     decisions_beside: int = 0  # number of decisions of the ADS that did not affect a run
-    refining_end: float = math.inf  # the time at which work on findings must end [s]
-    # the largest number of decisions that work on findings can request
-    refining_most: float = math.inf
-    # the number of decisions that it has requested; the same for any number of processes
-    asked: int = 0
-    is_at_limit: bool = False  # True if this number has reached its limit
     confirm_decisions: int = 0  # the number of decisions of the ADS to confirm findings
     confirm_seconds: float = 0.0  # the time to confirm findings [s]
     pace: float = 0.0  # the longest time so far to confirm one second of a run [s]
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """Returns the time [s]."""
+        return self.budget.clock
 
     @property
     def decisions(self) -> int:
@@ -60,27 +125,55 @@ class Bench:
 
     def results(
         self, scenarios: Iterable[Scenario], state: State, skips: Callable[[Scenario], bool]
-    ) -> Iterator[Result | LostRun]:
+    ) -> Iterator[Result]:
+        """Yield the result of each scenario. The death of its process is a result, too."""
         __tracebackhide__ = True
         runs = self.runner.results(scenarios, skips)
-        while (result := self._next(runs, state)) is not None:
+        while True:
+            with self._recorded():
+                with refusals():
+                    answers = list(islice(runs, 1))
+                if not answers:  # there is no scenario left
+                    return
+                result = self._evaluated(answers[0], state)
+            # Only now: the evaluation can end this process, too, and the next session must know in which scenario.
+            self.record.clear()
             yield result
 
-    def _next(self, runs: Iterator[Any], state: State) -> Result | LostRun | None:
+    def _evaluated(self, answer: Done[Result | Trace] | Lost[Scenario], state: State) -> Result:
         __tracebackhide__ = True
-        with self._recorded():
-            with refusals():
-                made = next(runs, None)
-            if made is None or isinstance(made, ProcessLostError):
-                return made
-            result: Result = made if isinstance(made, Result) else self.examiner(made, state.known)
-            # count only what the reference passes
-            if result.kind == "failed" and self.reference is not None:
-                result = result.beside(
-                    self.harness.judge_reference(self.reference, result.evaluation.scenario)
-                )
-        self.record.clear()
+        match answer:
+            case Lost(death):
+                return self.died(death)
+            case Done(Result() as result):
+                pass
+            case Done(trace):
+                # No other process has evaluated the run, or it could not, so this one does.
+                assert isinstance(trace, Trace)  # noqa: S101
+                result = self.examiner(trace, state.known)
+            case _:
+                assert_never(answer)
+        if result.kind == "failed" and self.reference is not None:
+            # A failure counts only if the reference passes the same scenario.
+            beside = self.harness.judge_reference(self.reference, result.evaluation.scenario)
+            result = result.beside(beside)
         return result
+
+    def died(self, death: LostRun) -> Result:
+        """Return the result for a scenario in which a process died or hung."""
+        __tracebackhide__ = True
+        if self.is_common(death.task):
+            return common_death(death.task)
+        return result_of_death(death, self.harness, self.examiner.seed)
+
+    def is_common(self, scenario: Scenario) -> bool:
+        """Return whether the reference fails the scenario, too."""
+        __tracebackhide__ = True
+        if self.reference is None:
+            return False
+        verdict = self.harness.judge_reference(self.reference, scenario)
+        self.record.clear()
+        return not verdict.passes
 
     def run(self, scenario: Scenario, *, most: int | None = None) -> Run:
         """Run a scenario. The caller must then evaluate the run with :meth:`finish`.
@@ -93,7 +186,7 @@ class Bench:
         __tracebackhide__ = True
         with self._recorded(), refusals():
             trace = self.runner.once(scenario, most=most)
-        self.asked += min(len(trace.actions), most or sys.maxsize)
+        self.budget.asked += min(len(trace.actions), most or sys.maxsize)
         return self.harness.run_of(trace)
 
     def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
@@ -102,92 +195,106 @@ class Bench:
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:  # run the reference, too
-                verdict = verdict.beside(
-                    self.harness.judge_reference(self.reference, scenario or run.scenario)
-                )
+                driven = scenario or run.scenario
+                beside = self.harness.judge_reference(self.reference, driven)
+                verdict = verdict.beside(beside)
         self.record.clear()
         return verdict
 
-    def is_common(self, scenario: Scenario) -> bool:
-        __tracebackhide__ = True
-        if self.reference is None:
-            return False
-        verdict = self.harness.judge_reference(self.reference, scenario)
-        self.record.clear()
-        return not verdict.passes
-
     def rerun(self, scenario: Scenario) -> Run:
+        """Run a scenario without an evaluation."""
         __tracebackhide__ = True
         run = self.run(scenario)
         self.record.clear()
         return run
 
-    @REPLACED.shown(False)
-    def rerun_in_gym(self, scenario: Scenario) -> Run | None:
-        """Run a scenario in highway-env's own environment, if the world has one."""
-        __tracebackhide__ = True
-        world = self.harness.world
-        if not world.replays_in_gym:
-            return None
-        # Import highway-env before the run, because functions that a test has replaced are in effect during the run.
-        from pytest_pafot.world.engines import gym_replay  # noqa: F401, PLC0415  (slow to import)
-
-        with self._recorded(), refusals():
-            trace = self.runner.once(scenario, "rollout_in_gym")
-        self.asked += len(trace.actions)
-        self.record.clear()
-        return Run(trace)
-
-    def confirm(
-        self, scenario: Scenario, expected: Trace | None, found: Signature | None = None
-    ) -> tuple[Run | None, Verdict | None, str | None]:
+    def confirm(self, failed: Failed) -> Confirmation:
         """Run the scenario of a failure again, also in highway-env's own environment.
 
-        Args:
-            scenario: the scenario as executed.
-            expected: the failing run, which must repeat to the last bit; None if it depends on wall-clock time.
-            found: the failure's signature; None to omit the verdict.
-
-        Returns:
-            The run if it reproduces the failure, its verdict, and the difference from the first run: empty if there is
-            no difference, None if there was no time to check.
+        The run must repeat to the last bit, unless it depends on wall-clock time.
         """
-        began, before, seconds_of_run = self.clock(), self.runner.decisions, 1.0
-        run = verdict = None
-        differs: str | None = ""
+        scenario = failed.finding.scenario
+
+        def compare(again: Run) -> Confirmation:
+            with self._recorded():
+                verdict = self.harness.judge(again)
+            self.record.clear()
+            shown: tuple[Repeated, ...] = ()
+            if self.examiner.signature_of(again, verdict) == failed.signature:
+                shown = (Repeated(again, verdict),)
+            if failed.trace is None:  # it depends on wall-clock time, so it need not repeat
+                return Same(again=shown)
+            changed = first_difference(failed.trace, again.trace)
+            if changed:
+                return Differs(why=f"{NOT_REPEATED}: {changed}", again=shown)
+            if not shown:
+                return Differs(why=JUDGED_OTHERWISE)
+            return self._compared_in_gym(again, shown)
+
+        return self._confirmed(scenario, compare)
+
+    def repeat(self, scenario: Scenario, expected: Trace) -> Confirmation:
+        """Run a scenario again as :meth:`confirm` does, but without a verdict."""
+
+        def compare(again: Run) -> Confirmation:
+            self.record.clear()
+            changed = first_difference(expected, again.trace)
+            if changed:
+                return Differs(why=f"{NOT_REPEATED}: {changed}")
+            return self._compared_in_gym(again, ())
+
+        return self._confirmed(scenario, compare)
+
+    def _confirmed(
+        self, scenario: Scenario, compare: Callable[[Run], Confirmation]
+    ) -> Confirmation:
+        began = self.clock()
+        before = self.runner.decisions
+        seconds_of_run = 1.0
         try:
-            with runs_end_in(self.refining_end - began):
+            with runs_end_in(self.budget.end - began):
                 again = self.run(scenario)
                 seconds_of_run = max(again.duration, seconds_of_run)
-                if found is not None:
-                    with self._recorded():
-                        verdict = self.harness.judge(again)
-                self.record.clear()
-                if verdict is None or self.examiner.signature_of(again, verdict) == found:
-                    run = again
-                if expected is not None and (changed := first_difference(expected, again.trace)):
-                    differs = f"{NOT_REPEATED}: {changed}"
-                elif expected is not None:
-                    differs = (
-                        JUDGED_OTHERWISE
-                        if run is None
-                        else self._in_words(_difference_in_gym(again, self))
-                    )
+                confirmation = compare(again)
         except ProcessLostError as error:
-            differs = f"the process that ran it again {error.end}"
+            confirmation = Differs(why=f"the process that ran it again {error.end}")
         except OutOfTime:
-            differs = None
+            confirmation = NoTime()
         seconds = self.clock() - began
         self.confirm_seconds += seconds
         self.confirm_decisions += self.runner.decisions - before
         self.pace = max(self.pace, seconds / seconds_of_run)
-        return run, verdict, differs
+        return confirmation
 
-    def _in_words(self, difference: str) -> str:
-        # Describe a difference in highway-env's own environment, with the likely cause.
-        cause = "" if self.harness.policy.drives_itself else left_out_text(self.harness.world)
+    def _compared_in_gym(self, run: Run, shown: tuple[Repeated, ...]) -> Confirmation:
+        # If the world has an environment of highway-env, the run must end in the same way there.
+        try:
+            difference = _difference_in_gym(run, self)
+        except OutOfTime:  # The second run has shown the failure all the same.
+            return NoTime(again=shown)
+        except ProcessLostError as error:
+            return Differs(why=f"the process that ran it again {error.end}", again=shown)
+        if not difference:
+            return Same(again=shown)
+        # The environment's own methods, which runs do not call, are the likely cause.
+        cause = ""
+        if not self.harness.policy.drives_itself:
+            cause = left_out_text(self.harness.world)
         told = "; ".join(filter(None, [difference, cause]))
-        return f"in highway-env's own environment: {told}" if difference else ""
+        return Differs(why=f"in highway-env's own environment: {told}", again=shown)
+
+    @REPLACED.shown(False)
+    def rerun_in_gym(self, scenario: Scenario) -> Run:
+        """Run a scenario in highway-env's own environment, which the world must have."""
+        __tracebackhide__ = True
+        # Import highway-env before the run, because functions that a test has replaced are in effect during the run.
+        from pytest_pafot.world.engines import gym_replay  # noqa: F401, PLC0415  (slow to import)
+
+        with self._recorded(), refusals():
+            trace = self.runner.once(scenario, in_gym)
+        self.budget.asked += len(trace.actions)
+        self.record.clear()
+        return Run(trace)
 
     @contextmanager
     def _recorded(self) -> Iterator[None]:
@@ -216,10 +323,10 @@ def left_out_text(world: BaseWorld) -> str:
 
 
 def _difference_in_gym(run: Run, bench: Bench) -> str:
-    # If the world has an environment of highway-env, the run must end in the same way there.
+    if not bench.harness.world.replays_in_gym:
+        return ""
     try:
-        other = bench.rerun_in_gym(run.scenario)
-        return "" if other is None else disagreement(run, other)
+        return disagreement(run, bench.rerun_in_gym(run.scenario))
     except (ProcessLostError, OutOfTime):
         raise
     except UNFIT as error:  # any exception of the environment or the ADS is a difference

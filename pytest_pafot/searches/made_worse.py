@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from itertools import tee
 
 from pytest_pafot.algorithms.space import SearchSpace, sample
-from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import LostRun
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import PASSES
 from pytest_pafot.model.scenario import rng_of
@@ -21,11 +19,19 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searches.bench import Bench
 from pytest_pafot.searches.events import Paired, Phase, Refining, SearchEvent
 from pytest_pafot.searches.results import Result, State
-from pytest_pafot.searches.store import Store, lose
+from pytest_pafot.searches.store import Store, record_death
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 PAIRS = 700  # the largest number of random scenarios that both policies run
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailedOnly:
+    """Whether only the new policy fails in a scenario, or only the reference."""
+
+    new: bool = False
+    reference: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
@@ -55,29 +61,26 @@ class MadeWorse:
                     "comparison",
                 )
                 with runs_end_in(self.end - self.state.clock()):
-                    new, old = (
-                        (False, False)
-                        if scenario in fatal
-                        else (yield from self._fail(next(results)))
-                    )
-                self.paired = self.paired.with_run(new=new, old=old)
+                    only = FailedOnly()
+                    if scenario not in fatal:
+                        only = yield from self._failed_only(next(results))
+                self.paired = self.paired.with_run(new=only.new, old=only.reference)
                 if self.paired.is_worse is not None:
                     break
         # If there was no time to decide, the findings count.
         if self.paired.is_worse is False:
             yield from self._dismiss(self.store.findings.values())
 
-    def _fail(self, result: Result | LostRun) -> Generator[SearchEvent, None, tuple[bool, bool]]:
-        # Return whether only the new policy fails, and whether only the reference does.
+    def _failed_only(self, result: Result) -> Generator[SearchEvent, None, FailedOnly]:
         __tracebackhide__ = True
         bench = self.bench
-        if isinstance(result, ProcessLostError):
-            result = yield from lose(result, self.state, bench, self.store)
+        if result.ended == "lost":
+            yield from record_death(result, self.state, self.store)
         if bench.reference is None or result.kind not in PASSES:
-            return result.kind == "failed", False
+            return FailedOnly(new=result.kind == "failed")
         reference = bench.harness.judge_reference(bench.reference, result.evaluation.scenario)
         bench.record.clear()
-        return False, reference.failed
+        return FailedOnly(reference=reference.failed)
 
     def _dismiss(self, sightings: Iterable[Seen]) -> Iterator[SearchEvent]:
         # An exception or a hang stays a finding, however often it occurs.

@@ -12,6 +12,7 @@ from typing import Any, Literal, Self
 from pytest_pafot.algorithms.evaluation import Evaluation, Health, PlanFinished
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, RunItHere
 from pytest_pafot.execution.runner import (
     CapturedOutput,
     Chunk,
@@ -21,7 +22,14 @@ from pytest_pafot.execution.runner import (
     expectation,
     run_recorded,
 )
-from pytest_pafot.findings.finding import Finding, Found, is_faster, signature_of_failure, speed_of
+from pytest_pafot.findings.finding import (
+    Expect,
+    Finding,
+    Found,
+    is_faster,
+    signature_of_failure,
+    speed_of,
+)
 from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -29,6 +37,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searches.harness import Cause, Harness, cause_of, headline, unit_doubt
 from pytest_pafot.support import monotonic
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.references import policy_name
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
@@ -54,7 +63,7 @@ class Failed:
     text: str  # the message of the failure, without a traceback
     # The trace, which another run of the scenario must repeat; None if it depends on wall-clock time.
     trace: Trace | None
-    drew: bool  # whether the policy drew random numbers
+    drew: bool = False  # whether the policy drew random numbers
 
     def found_in(self, generation: int) -> Finding:
         """Return the content of the finding's file, including the generation in which it was found."""
@@ -193,24 +202,83 @@ def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = 
     )
 
 
-def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
-    """Return the result for a scenario in which a process died or hung, or did so in the past if ``death`` is None."""
-    expect = None if death is None or is_common else expectation(death)
-    evaluation = Evaluation(
+def death_of(
+    harness: Harness,
+    scenario: Scenario,
+    expect: Expect,
+    *,
+    found: Found,
+    world: Mapping[str, Any] | None = None,
+) -> Finding:
+    """Return the content of the file for a scenario in which a process died or hung."""
+    how = "hang" if expect.outcome is Outcome.HANG else "crash"
+    return Finding(
+        id=f"{how}-{scenario.id}",
+        test=harness.node_id,
+        scenario=scenario,
+        world=world or codec.described(harness.world),
+        expect=expect,
+        found=found,
+        perception=harness.policy.sight,
+    )
+
+
+def headline_of_death(death: LostRun) -> str:
+    """Return one line on the loss of a process."""
+    how = "hang" if death.is_hang else "crash"
+    return f"{how}: the process that ran this scenario {death.end}"
+
+
+def cause_of_death(death: LostRun, way_out: str) -> str:
+    """Return the likely cause of the loss of a process, with ``way_out`` as advice."""
+    if death.end == OUT_OF_MEMORY:
+        return "the ADS uses more and more memory, or needs more than its limit"
+    if death.end == WORLD_HANGS:
+        return f"the world hangs, or is too slow. If it is too slow, set a longer hang_limit and {way_out}"
+    if not death.is_hang:
+        return "the likely cause is a crash in native code, a call that ends the process, or a lack of memory"
+    return (
+        "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
+        f"does not work in a forked process. In the last case, {way_out}"
+    )
+
+
+def result_of_death(death: LostRun, harness: Harness, seed: int) -> Result:
+    """Return the result for a scenario in which a process of this search died or hung."""
+    expect = expectation(death)
+    again = "" if death.is_hang else ", even when it was repeated"
+    why = cause_of_death(death, f"delete the file, and use {flag('workers', 1)}")
+    failed = Failed(
+        signature=expect.signature,
+        finding=death_of(harness, death.task, expect, found=found_by(harness, seed)),
+        headline=headline_of_death(death),
+        text=f"the {death.who} that ran this scenario {death.end}{again}: {why}",
+        trace=None,
+    )
+    evaluation = replace(
+        not_run(death.task), failing=True, kind=expect.signature, outcome=expect.outcome
+    )
+    return Result(evaluation=evaluation, kind="failed", ended="lost", failed=failed)
+
+
+def common_death(scenario: Scenario) -> Result:
+    """Return the result for a scenario in which a process died, and which the reference fails, too."""
+    return Result(evaluation=not_run(scenario), kind="common", ended="lost")
+
+
+def not_run(scenario: Scenario) -> Evaluation:
+    """Return an evaluation that teaches an algorithm nothing, because a process died in the scenario."""
+    return Evaluation(
         scenario=scenario,
         executed=scenario,
         fitness=0.0,
-        failing=expect is not None,
-        kind=None if expect is None else expect.signature,
-        outcome=Outcome.ADS_ERROR if expect is None else expect.outcome,
+        failing=False,
+        outcome=Outcome.ADS_ERROR,
         duration=0.0,
         genes_started=0,
         genes_reached=0,
         interaction=False,
         discarded=True,
-    )
-    return Result(
-        evaluation=evaluation, kind="common" if expect is None else "failed", ended="lost"
     )
 
 
@@ -294,38 +362,62 @@ class Driver:
     drawn: Callable[[int], Scenario] | None = None
 
     def __call__(
-        self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]
+        self,
+        chunk: Chunk,
+        job: Job,
+        record: CrashRecord,
+        say: Callable[[Timed | RunItHere], object],
     ) -> None:
         """Sample and simulate the scenarios of a chunk, and pass the results to ``say``."""
         assert self.drawn is not None  # noqa: S101  (it is set before the first chunk)
         known = set(chunk.known)
         examine = partial(self.examiner, known=known)
-        counts, output, seconds = Counts(), CapturedOutput(), 0.0
+        counted = Timed(Counts(), CapturedOutput(), 0.0)
         for number in range(chunk.first, chunk.end):
-            scenario = self.drawn(number)
-            made: Any = None
-            try:
-                if scenario not in chunk.fatal:
-                    made, said, took = run_recorded(job, record, scenario, examine)
-            except MemoryError:  # The session must not use up its memory in the same way.
-                raise
-            except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
-                pass
+            answer = self._answer(number, chunk, job, record, examine)
             # A message costs the session more time than a run, so runs that are only counted share a message.
-            if isinstance(made, Result) and made.failed is None and self.examiner.note is None:
-                counts += Counts.from_result(made, number)
-                output, seconds = output.followed_by(said), seconds + took
-                continue
-            if counts.runs:
-                say((counts, output, seconds))
-                counts, output, seconds = Counts(), CapturedOutput(), 0.0
-            if isinstance(made, Result):
-                say((made, said, took))
-                known |= {made.evaluation.kind} - {None}
-            else:  # Only the session can run or evaluate it.
-                say((None, CapturedOutput(), 0.0))
-        if counts.runs:
-            say((counts, output, seconds))
+            match answer:
+                case Timed(Result(failed=None) as result) if self.examiner.note is None:
+                    counted.value.__iadd__(Counts.from_result(result, number))
+                    counted = Timed(
+                        counted.value,
+                        counted.output.followed_by(answer.output),
+                        counted.seconds + answer.seconds,
+                    )
+                    continue
+                case Timed(Result() as result):
+                    known |= {result.evaluation.kind} - {None}
+                case _:
+                    pass
+            # What was counted comes before this message, because the session counts in the order of numbers.
+            if counted.value.runs:
+                say(counted)
+                counted = Timed(Counts(), CapturedOutput(), 0.0)
+            say(answer)
+        if counted.value.runs:
+            say(counted)
+
+    def _answer(
+        self,
+        number: int,
+        chunk: Chunk,
+        job: Job,
+        record: CrashRecord,
+        examine: Callable[[Trace], Result],
+    ) -> Timed | RunItHere:
+        assert self.drawn is not None  # noqa: S101  (as above)
+        scenario = self.drawn(number)
+        if scenario in chunk.fatal:
+            return RunItHere(LookupError("a process died in this scenario before"))
+        try:
+            ran = run_recorded(job, record, scenario, read=examine)
+        except MemoryError:  # The session must not use up its memory in the same way.
+            raise
+        except Exception as error:  # noqa: BLE001  (the session runs it again, and reports what is raised)
+            return RunItHere(error)
+        if isinstance(ran.value, Result):
+            return ran
+        return RunItHere(LookupError("only the session can evaluate this run"))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -429,7 +521,10 @@ class State:
         return self.clock() - self.began
 
     def take(self, result: Result) -> None:
-        self.counts += Counts.from_result(result, self.generation if self.is_random else self.runs)
+        number = self.generation if self.is_random else self.runs
+        self.counts += Counts.from_result(result, number)
+        if result.ended == "lost":  # It is not run again, because another process would die.
+            self.fatal.add(result.evaluation.scenario)
         if result.cause is not None:
             self.first = self.first or result.evaluation.executed
         if result.kind == "skipped":

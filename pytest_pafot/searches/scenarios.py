@@ -1,4 +1,16 @@
-"""The scenarios of a search in order, and their results."""
+"""The scenarios of a search in order, and their results.
+
+In a random search, each number has one of the states of `NumberState`. Only `Numbers` changes them::
+
+    WAITING ---- _give, in a chunk for another process ---->  OUT
+       |                                                     |  |
+       | next, in this process                               |  | its failure arrives before its turn
+       v                                                     v  v
+     BACK  <---- _message, in the order of numbers ----  OUT or EARLY
+
+The numbers below `number` are `BACK`, those from `_given` on are `WAITING`, and all others are `OUT` or `EARLY`. If the
+process of a chunk dies, its numbers are run one by one, until it is known in which of them a process dies.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +18,9 @@ import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import partial
-from typing import Any
+from typing import Any, assert_never
 
 from pytest_pafot.algorithms.catalogue import RandomSearch
 from pytest_pafot.algorithms.evaluation import (
@@ -19,11 +32,11 @@ from pytest_pafot.algorithms.evaluation import (
     PlanStarted,
 )
 from pytest_pafot.algorithms.plan import Algorithm, Plan
-from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Apart, Chunk, LostRun
+from pytest_pafot.execution.pool import Answer, Done, Lost, RunItHere, Said
+from pytest_pafot.execution.runner import Apart, Chunk, LostRun, Timed
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searches.bench import Bench
-from pytest_pafot.searches.results import Counts, Result, State
+from pytest_pafot.searches.results import Counts, Failed, Result, State, not_run
 
 # The approximate time to run a chunk [s]: long compared with the time of a message, short compared with a search.
 CHUNK_SECONDS = 0.05
@@ -48,16 +61,34 @@ class Early:
     number: int  # number of the scenario in the search
 
 
-# The result of the next scenario of a search, or of several:
-# - Result: the scenario was run, in this process or in another one.
-# - Counts: another process ran one or more scenarios.
-# - LostRun: the process of the scenario died or hung.
-# - Early: a later scenario has already failed. Its result is returned again in its turn. The next scenario stays the
-#   same.
-# - Evaluation: an earlier run shows the result of the scenario.
-# - Events: a generation had no scenario.
-# - None: the scenario is not run, because a process died in it before.
-Done = Result | Counts | LostRun | Early | Evaluation | Sequence[Event] | None
+@dataclass(frozen=True, slots=True)
+class Reused:
+    """An evaluation without a run, because an earlier run shows it, or because a process died in the scenario."""
+
+    evaluation: Evaluation
+
+
+@dataclass(frozen=True, slots=True)
+class NoScenario:
+    """A generation for which the algorithm requested no scenario."""
+
+    events: Sequence[Event]
+
+
+# What a search receives next: the result of a scenario, the counts of one or more scenarios that another process ran, a
+# failure that arrived before its turn (its result is returned again in its turn), or one of the two above.
+Step = Result | Counts | Early | Reused | NoScenario
+
+
+class NumberState(Enum):
+    """The states of a number in a random search."""
+
+    WAITING = "no process has the scenario"
+    OUT = "another process has the scenario"
+    EARLY = (
+        "the scenario has failed in another process, and its file is saved, but it is not counted"
+    )
+    BACK = "the scenario is counted"
 
 
 class Bred(Plan):
@@ -69,9 +100,9 @@ class Bred(Plan):
 
     def _begin(self) -> None:
         super()._begin()
-        self._results: Iterator[Result | LostRun] = iter(())  # for the rest of the generation
+        self._results: Iterator[Result] = iter(())  # for the rest of the generation
 
-    def next(self, state: State) -> Done:
+    def next(self, state: State) -> Step:
         """Return the result of the next scenario.
 
         Raises:
@@ -80,13 +111,13 @@ class Bred(Plan):
         """
         __tracebackhide__ = True
         if self.is_whole:
-            return self.learn()
+            return NoScenario(self.learn())
         recalled = self.recalled()
         if recalled is not None:
-            return recalled
+            return Reused(recalled)
         if self.scenario() in state.fatal:
-            return None
-        if (result := next(self._results, None)) is not None:
+            return Reused(not_run(self.scenario()))
+        for result in self._results:
             return result
 
         def skips(scenario: Scenario) -> bool:
@@ -107,7 +138,7 @@ def chunk_size(run_seconds: float, left: int, workers: int) -> int:
 class _Driven:
     # The state of a chunk that another process simulates.
 
-    said: deque[Any]  # messages that are not yet counted
+    said: deque[Said | Answer]  # messages that are not yet counted, and the answer to the chunk
     heard: int  # number of the next scenario that the process reports
 
 
@@ -122,14 +153,17 @@ class Numbers:
     number: int = 0  # number of the next scenario to be counted
     _given: int = 0  # the first number that is not assigned to another process
     # results of runs outside chunks
-    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))
+    _results: Iterator[Result] = field(default_factory=lambda: iter(()))
     # chunks in other processes, in the order of numbers
     _driven: dict[Chunk, _Driven] = field(default_factory=dict)
     # failures in later chunks, in the order of arrival
     _early: deque[Early] = field(default_factory=deque)
+    # the numbers of these failures
+    _saved: set[int] = field(default_factory=set)
     # the end of the chunk in which a process died; its scenarios are run one by one
     _alone: int = 0
-    _suspect: LostRun | None = None  # that death, until the scenario that caused it is known
+    # that death, until the scenario that caused it is known
+    _suspects: list[LostRun] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if self.bench.driver is not None:
@@ -162,30 +196,41 @@ class Numbers:
     def scenario(self) -> Scenario:
         return self.algorithm.drawn(self.seed, self.number)
 
-    def next(self, state: State) -> Done:
+    def state_of(self, number: int) -> NumberState:
+        """Return the state of a number."""
+        if number < self.number:
+            return NumberState.BACK
+        if number >= self._given:
+            return NumberState.WAITING
+        return NumberState.EARLY if number in self._saved else NumberState.OUT
+
+    def next(self, state: State) -> Step:
         """Return the result of the next scenario, or of several, as :meth:`Bred.next` does."""
         __tracebackhide__ = True
         # Run scenarios one by one until two runs differ, which shows that the set-up has no fault.
         if not state.is_alike:
             self._give(state)
-        message = self._message()
+        messages = list(self._messages())
+        # A failure that arrived before its turn comes first, so that its file is on disk as soon as possible.
         if self._early:
             return self._early.popleft()
-        if message is not None:
+        for message in messages:
             return message
         if self.scenario() in state.fatal:
-            return None
+            return Reused(not_run(self.scenario()))
         result = next(self._results, None)
         if result is None:
             # If other processes run chunks, run only the next scenario, which measures the time of a run, or the rest
             # of a chunk in which a process died.
-            end = self._end if self.bench.driver is None else max(self._alone, self.number + 1)
+            end = self._end
+            if self.bench.driver is not None:
+                end = max(self._alone, self.number + 1)
             drawn = map(partial(self.algorithm.drawn, self.seed), range(self.number, end))
             self._results = self.bench.results(drawn, state, state.fatal.__contains__)
             result = next(self._results)
-        if isinstance(result, ProcessLostError):
+        if result.ended == "lost":
             # The scenario that killed the process of its chunk has done so again.
-            self._suspect = None
+            self._suspects.clear()
         return result
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
@@ -202,13 +247,10 @@ class Numbers:
     def count(self, runs: int) -> None:
         self.number += runs
         self._given = max(self._given, self.number)
-        if (
-            self._suspect is not None
-            and self.number >= self._alone
-            and isinstance(self.bench.runner, Apart)
-        ):
-            self.bench.runner.recovered.append(self._suspect)
-            self._suspect = None
+        if self.number >= self._alone and isinstance(self.bench.runner, Apart):
+            # No scenario of the chunk has killed a second process.
+            self.bench.runner.recovered += self._suspects
+            self._suspects.clear()
 
     def finished(self, reason: EndReason, seconds: float) -> Iterator[Event]:
         self._results = iter(())
@@ -240,33 +282,59 @@ class Numbers:
             self._driven[chunk] = _Driven(deque(), chunk.first)
             self._given, left = chunk.end, left - size
 
-    def _message(self) -> Result | Counts | None:
-        # Return None if the session must run the next number, or as soon as a scenario of a later chunk has failed.
-        runner, chunk = self.bench.runner, next(iter(self._driven), None)
+    def _messages(self) -> Iterator[Result | Counts]:
+        # Yield the next message about the scenarios in turn. Nothing is yielded if the session must run the next number
+        # itself, or as soon as a scenario of a later chunk has failed.
+        runner = self.bench.runner
         if not isinstance(runner, Apart):
-            return None
-        head = None if chunk is None or chunk.first > self.number else self._driven[chunk]
-        # Messages about other chunks are stored until their turn.
-        while heard := runner.hear(waits=head is not None and not head.said and not self._early):
-            driven = self._driven.get(heard[0])
-            if driven is None:
-                continue
-            driven.said.append(heard[1])
-            made = heard[1][0] if isinstance(heard[1], tuple) else None
-            if isinstance(made, Result) and made.failed is not None and driven is not head:
-                self._early.append(Early(made, driven.heard))
-            driven.heard += made.runs if isinstance(made, Counts) else 1
-        if head is None or chunk is None or self._early:
-            return None
-        said = head.said.popleft()
-        if not isinstance(said, tuple):  # The chunk is finished, or its process cannot continue it.
+            return
+        while True:
+            chunk = next(iter(self._driven), None)
+            is_in_turn = chunk is not None and chunk.first <= self.number
+            self._listen(runner, chunk if is_in_turn else None)
+            if chunk is None or not is_in_turn or self._early:
+                return
+            match self._driven[chunk].said.popleft():
+                case Said(Timed(value) as timed):
+                    runner.count(_runs_of(value), timed.seconds)
+                    timed.output.repeat()
+                    yield value
+                    return
+                case Said():  # a RunItHere: only this process can run or evaluate the scenario
+                    return
+                case Done() | RunItHere():
+                    pass  # The chunk is finished, or its process cannot continue it.
+                case Lost(death):
+                    self._suspects.append(death)
+                case other:
+                    assert_never(other)
             del self._driven[chunk]
             self._alone = chunk.end
-            if isinstance(said, ProcessLostError):
-                self._suspect = said
-            return None if self.number < chunk.end else self._message()
-        result: Result | Counts | None = said[0]
-        if result is not None:
-            runner.count(result.runs if isinstance(result, Counts) else 1, said[2])
-            said[1].repeat()
-        return result
+            if self.number < chunk.end:
+                return
+
+    def _listen(self, runner: Apart, head: Chunk | None) -> None:
+        # Store what the processes say about their chunks. If ``head``, the chunk in turn, has no message, wait for one.
+        while True:
+            waits = head is not None and not self._driven[head].said and not self._early
+            heard = runner.messages(waits=waits)
+            if not heard:
+                return
+            for chunk, said in heard:
+                driven = self._driven.get(chunk)
+                if driven is None:
+                    continue
+                driven.said.append(said)
+                match said:
+                    case Said(Timed(Result(failed=Failed()) as result)) if chunk is not head:
+                        self._early.append(Early(result, driven.heard))
+                        self._saved.add(driven.heard)
+                        driven.heard += 1
+                    case Said(Timed(value)):
+                        driven.heard += _runs_of(value)
+                    case _:
+                        driven.heard += 1
+
+
+def _runs_of(value: Result | Counts) -> int:
+    return value.runs if isinstance(value, Counts) else 1

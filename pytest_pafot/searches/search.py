@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import assert_never
 
 from pytest_pafot.algorithms.evaluation import (
     EndReason,
     Evaluated,
-    Evaluation,
     GenerationFinished,
     Health,
     PlanFinished,
@@ -20,9 +20,9 @@ from pytest_pafot.searches.events import Progress, SearchEvent
 from pytest_pafot.searches.harness import SetupFaultError, cause_of
 from pytest_pafot.searches.made_worse import PAIRS
 from pytest_pafot.searches.refine.simplest import rollouts_for
-from pytest_pafot.searches.results import Counts, Failed, Result, State, lost
-from pytest_pafot.searches.scenarios import FIRST, Bred, Early, Numbers
-from pytest_pafot.searches.store import Store, lose
+from pytest_pafot.searches.results import Counts, Result, State
+from pytest_pafot.searches.scenarios import FIRST, Bred, Early, NoScenario, Numbers, Reused
+from pytest_pafot.searches.store import OnlyCounted, Saved, Store, record_death
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -44,7 +44,9 @@ class Watch:
     stop: Callable[[], bool] = lambda: False  # returns True to end the search
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
-        return "stopped" if self.stop() else "runs" if scenarios.has_all_runs else None
+        if self.stop():
+            return "stopped"
+        return "runs" if scenarios.has_all_runs else None
 
     def seconds_left(self) -> float:
         """Return the time [s] that is left for the next run."""
@@ -82,7 +84,8 @@ class TimedWatch(Watch):
 
     def begin(self, earliest_end: float) -> None:
         self.began = self.last = self.state.clock()
-        self.earliest_end, self._runs_before = earliest_end, self.state.runs
+        self.earliest_end = earliest_end
+        self._runs_before = self.state.runs
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
         if self.most is not None and self.store.count >= self.most:
@@ -94,23 +97,23 @@ class TimedWatch(Watch):
     def seconds_left(self) -> float:
         # The first run has at least the time LEAST.
         ends = self._ends() if self.store.firm else self.limit
-        ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
+        if self.state.runs <= self._runs_before:
+            ends = max(ends, self.began + LEAST)
         return ends - self.state.clock()
 
     def _ends(self) -> float:
         # The remaining time must be enough to simplify the findings so far or, if there are none, to confirm one in the
         # last run. That time is estimated from the runs so far.
-        harness, state = self.bench.harness, self.state
-        settings, firm = harness.request.settings, self.store.firm
         if self.limit == math.inf:
             return self.earliest_end
-        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
-        to_compare = 0 if harness.against is None else 2 * PAIRS
-        run_seconds = (
-            (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
-        )
-        seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
-        return max(self.earliest_end, self.limit - seconds)
+        harness = self.bench.harness
+        runs = self.store.firm * (RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT)
+        if harness.against is not None:
+            runs += 2 * PAIRS
+        elapsed = self.state.clock() - self.began
+        runs_so_far = max(self.state.runs - self._runs_before, 1)
+        run_seconds = elapsed * harness.request.settings.workers / runs_so_far
+        return max(self.earliest_end, self.limit - (runs or RUNS_TO_CONFIRM) * run_seconds)
 
     def after_event(self) -> Iterator[SearchEvent]:
         self.last = self.state.clock()
@@ -133,7 +136,9 @@ class TimedWatch(Watch):
             return 0.0
         began, before = self._since
         made = self.state.runs - before
-        return (self.state.clock() - self.bench.confirm_seconds - began) / made if made else 0.0
+        if not made:
+            return 0.0
+        return (self.state.clock() - self.bench.confirm_seconds - began) / made
 
     def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
         state, runner = self.state, self.bench.runner
@@ -145,6 +150,9 @@ class TimedWatch(Watch):
         run_seconds = self._run_seconds
         runs_left = 0 if settings.runs is None else settings.runs - state.runs
         decisions = state.counts.decisions
+        decision_seconds = 0.0
+        if decisions:
+            decision_seconds = run_seconds * state.runs / decisions
         yield Progress(
             node_id=self.node_id,
             generation=min(state.generation + 1, settings.generations or state.generation + 1),
@@ -155,7 +163,7 @@ class TimedWatch(Watch):
             finds=self.store.count,
             seconds=state.seconds,
             left=runs_left * run_seconds / max(runner.in_use, 1),
-            decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
+            decision_seconds=decision_seconds,
             is_limited=self.limit < math.inf,
             phase=phase,
             of=of,
@@ -171,7 +179,8 @@ def search(
         SetupFaultError: if the first runs all fail with the same exception.
         RequestError: if the world, the factory, the test function or a scenario cannot be used.
     """
-    began, reason = state.clock(), None
+    began = state.clock()
+    reason: EndReason | None = None
     yield from _record([scenarios.started], state, bench, watch)
     while not scenarios.is_over:
         # Limits apply after the first scenario, so that each search tests something.
@@ -182,58 +191,57 @@ def search(
         # Run and evaluate the next scenario. Other processes may already have run it, and several more.
         try:
             with runs_end_in(watch.seconds_left()):
-                done = scenarios.next(state)
+                step = scenarios.next(state)
         except OutOfTime:
             reason = "time"
             break
         happened: Sequence[SearchEvent] = ()
-        match done:
-            case Early():
-                store.add_early(done.result, done.number, state.known)
+        match step:
+            case Early(result, number):
+                # Its file is on disk before any other scenario runs. It is counted in its turn.
+                store.add_early(result, number, state.known)
                 continue
             case Counts():
                 assert isinstance(scenarios, Numbers)  # noqa: S101  (algorithms that learn need each evaluation)
-                state.counts += done
-                scenarios.count(done.runs)
+                state.counts += step
+                scenarios.count(step.runs)
                 yield from watch.after_event()
-            case ProcessLostError():
-                result = yield from lose(done, state, bench, store)
-                state.take(result)
-                happened = scenarios.take(result.evaluation)
+            case Result(ended="lost"):
+                # The pool has already tried it twice, so it is reported without a second run.
+                yield from record_death(step, state, store)
+                state.take(step)
+                happened = scenarios.take(step.evaluation)
             case Result():
-                state.take(done)
+                state.take(step)
                 yield from _released(state, store)
-                failed = done.failed
-                # Save it before the next scenario, so that nothing is lost.
-                if failed is not None and failed.signature not in state.known:
-                    state.finds[failed.signature] = yield from _confirmed(
-                        done, failed, state, bench, store, watch
-                    )
-                happened = scenarios.take(done.evaluation)
-            case Evaluation():
-                happened = scenarios.take(done, reused=True)
-            case None:  # a process died in this scenario before
-                happened = scenarios.take(lost(scenarios.scenario(), None).evaluation, reused=True)
+                yield from _saved(step, state, bench, store, watch)
+                # Only now may the algorithm propose more: the file is written before the next scenario runs.
+                happened = scenarios.take(step.evaluation)
+            case Reused(evaluation):
+                happened = scenarios.take(evaluation, reused=True)
+            case NoScenario(events):
+                happened = events
             case _:
-                happened = done
+                assert_never(step)
         yield from _released(state, store)
         yield from _record(happened, state, bench, watch)
         if isinstance(scenarios, Numbers) and scenarios.number == FIRST:
             check_set_up(state, bench, " at the start")
+    _check_all_have_findings(state)
+    if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
+        check_set_up(state, bench, "")
+    finished = scenarios.finished(reason or "generations", state.clock() - began)
+    yield from _record(finished, state, bench, watch)
+
+
+def _check_all_have_findings(state: State) -> None:
     # Each counted failure needs a finding or a saved scenario. Otherwise, the search would pass despite the failure.
     failures = state.counts.failures
-    if (
-        failures.keys() - state.known
-        or sum(each.runs for each in failures.values()) != state.counts.kinds["failed"]
-    ):
+    runs = sum(each.runs for each in failures.values())
+    if failures.keys() - state.known or runs != state.counts.kinds["failed"]:
         raise RuntimeError(
             f"a failure has no finding: {state.counts!r:.300}. Please report this bug in pytest-pafot"
         )
-    if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
-        check_set_up(state, bench, "")
-    yield from _record(
-        scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch
-    )
 
 
 def _record(
@@ -257,7 +265,9 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
     Raises:
         SetupFaultError: if they did, and the first scenario ends in the exception again.
     """
-    counts, is_alike, state.is_set_up = state.counts, state.is_alike, True
+    counts = state.counts
+    is_alike = state.is_alike
+    state.is_set_up = True  # Even if the check below raises, the set-up is not checked again.
     if not is_alike or state.first is None:
         return
     try:
@@ -271,20 +281,26 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
         raise SetupFaultError(run, verdict, f"all {judged} {evaluated}runs{where}")
 
 
-def _confirmed(
-    result: Result, failed: Failed, state: State, bench: Bench, store: Store, watch: Watch
-) -> Generator[SearchEvent, None, str]:
-    # Save the new failure first. Then run its scenario again, and report it unless findings are held back.
-    sighting = store.add(result, state.generation)
-    if isinstance(sighting, str):
-        return sighting
-    yield from watch.before_rerun(sighting.id)
-    sighting = store.confirmed(
-        sighting, *bench.confirm(failed.finding.scenario, failed.trace, failed.signature)
-    )
-    if not store.is_holding:
-        yield from store.publish(sighting)
-    return sighting.id
+def _saved(
+    result: Result, state: State, bench: Bench, store: Store, watch: Watch
+) -> Iterator[SearchEvent]:
+    # Save a new failure first. Then run its scenario again, and report it unless findings are held back.
+    failed = result.failed
+    if failed is None or failed.signature in state.known:
+        return
+    added = store.add(result, state.generation)
+    match added:
+        case OnlyCounted():
+            pass
+        case Saved(seen):
+            yield from watch.before_rerun(seen.id)
+            seen = store.confirmed(seen, bench.confirm(failed))
+            if not store.is_holding:
+                yield from store.publish(seen)
+        case _:
+            assert_never(added)
+    # Last, because a finding counts as known only once it is reported or held back.
+    state.finds[failed.signature] = added.id
 
 
 def _released(state: State, store: Store) -> Iterator[SearchEvent]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import GEN_CLOSED, getgeneratorstate
+from types import MappingProxyType
 from typing import Any, Self
 
 from pytest_pafot.algorithms.catalogue import RandomSearch
@@ -19,14 +20,13 @@ from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.corpus.reader import Saved, saved_in
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import forks, judged_apart, runner_for
+from pytest_pafot.execution.runner import LostRun, forks, judged_apart, runner_for
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searches.bench import Bench, left_out_text
+from pytest_pafot.searches.bench import Bench, Budget
 from pytest_pafot.searches.events import (
-    KINDS,
     Ending,
     Note,
     Phase,
@@ -36,7 +36,6 @@ from pytest_pafot.searches.events import (
 )
 from pytest_pafot.searches.harness import Harness, SetupFaultError, no_skip, refusals, skips
 from pytest_pafot.searches.made_worse import MadeWorse
-from pytest_pafot.searches.options import RUNS
 from pytest_pafot.searches.refine.steps import refine
 from pytest_pafot.searches.replays import Replays
 from pytest_pafot.searches.request import build_space
@@ -44,10 +43,11 @@ from pytest_pafot.searches.results import Driver, Examiner, State
 from pytest_pafot.searches.scenarios import Bred, Numbers
 from pytest_pafot.searches.search import LEAST, TimedWatch, Watch, search
 from pytest_pafot.searches.store import Store
+from pytest_pafot.searches.summary import summary_of
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.support.process import postponed
-from pytest_pafot.support.text import capitalised, plural
+from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -58,8 +58,14 @@ FOR_SIMPLIFYING = 1 / 3
 
 AFTER_A_DEATH = f"the ADS ran in separate processes, as with {flag('isolate')}, because a process has died before"
 
-# The endings after which there are enough runs for health warnings.
-WITH_WARNINGS = Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
+ENDINGS: Mapping[EndReason, Ending] = MappingProxyType(
+    {
+        "generations": Ending.GENERATIONS,
+        "runs": Ending.RUNS,
+        "time": Ending.MAX_TIME,
+        "stopped": Ending.FINDINGS,
+    }
+)
 # A run that the time limit stops is reported if it took more than this many times as long as the mean run before it.
 SLOW_RUNS = 10
 
@@ -238,7 +244,7 @@ def prepared(
                 reference=reference,
                 driver=driver,
                 examiner=examiner,
-                clock=state.clock,
+                budget=Budget(clock=state.clock),
             ),
             store=Store(harness=harness, seed=seed),
         )
@@ -322,70 +328,113 @@ class SearchSession:
                 happened.close()
 
     def run(self) -> Generator[SearchEvent, None, SearchResult]:
-        """Replay saved scenarios, search, refine the findings, and report a summary.
+        """Replay saved scenarios, search, compare, refine the findings, and report a summary.
 
         Raises:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
-        harness, state, bench, store = self.harness, self.state, self.bench, self.store
+        state, bench, store = self.state, self.bench, self.store
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
-        bench.refining_end = max(self.limit, began + LEAST)
+        bench.budget.end = max(self.limit, began + LEAST)
         # If a process of an earlier session died, run its scenario again before anything else.
-        pending = yield from self._retried(harness.left_behind())
-        reason, fault, is_closed = Ending.INTERRUPTED, None, False
+        pending = yield from self._retried(self.harness.left_behind())
+        ending = Ending.INTERRUPTED
+        faults: list[SetupFaultError] = []
+        has_consumer = True
         try:
+            # Replay saved scenarios, search, and confirm each new failure. The failures that saved scenarios accept
+            # must be known before processes are forked, because the processes evaluate their own runs.
             with bench.runner:
-                reason = yield from self._searched(saved_in(harness.folder), began)
-            # Report all findings before shrinking, which takes long and may be cut short.
-            self._settle(reason)
-            yield from self._events(store.release())
-            yield from self._events(store.note_worst(state))
-            # With a reference, findings are shrunk only if they show that the policy became worse.
-            if harness.against is not None and state.space is not None and store.count:
-                now = state.clock()
-                self._worse = MadeWorse(
-                    state=state,
-                    bench=bench,
-                    store=store,
-                    end=now + (self.limit - now) / 2,
-                )
-                yield from self._events(self._worse.compare(state.space))
-            yield from self._refine()
+                ending = yield from self._searched(saved_in(self.harness.folder), began)
+            # Report all findings before the work on them, which takes long and may be cut short.
+            yield from self._reported(ending)
+            # Compare. With a reference, findings are refined only if they show that the policy became worse.
+            yield from self._compared()
+            # Refine. Random numbers that this work draws must not affect the tests that follow.
+            with GENERATORS.held():
+                yield from self._events(refine(state, bench, store, until=self.limit))
         except SetupFaultError as error:
-            reason, fault = Ending.ERROR, error
+            ending = Ending.ERROR
+            faults.append(error)
             yield from self._events(store.withdraw())
             state.forget_findings()
         except BaseException as error:
-            is_closed = isinstance(error, GeneratorExit)
-            reason = Ending.INTERRUPTED if is_closed or is_interruption(error) else Ending.ERROR
+            has_consumer = not isinstance(error, GeneratorExit)
+            is_interrupted = not has_consumer or is_interruption(error)
+            ending = Ending.INTERRUPTED if is_interrupted else Ending.ERROR
             raise
         finally:
-            # Yield the findings and the summary even after an error, including one of the consumer, see Events.
+            # Report the findings and the summary even after an error, including one of the consumer, see Events. An
+            # interrupt must not come between the two.
             with postponed():
-                self._settle(reason)
-                released = self._events(store.release())
-                if is_closed:  # no consumer is left, so findings are only saved
-                    deque(released, maxlen=0)
-                else:
-                    yield from released
+                reported = self._reported(ending, with_worst=False)
+                if has_consumer:
+                    yield from reported
+                else:  # findings are only saved
+                    deque(reported, maxlen=0)
+                # The records of dead processes are discarded last: if this session dies, the next one reads them.
                 for leftover in pending:
                     leftover.discard()
-                self.process_notes += bench.runner.notes
-                if bench.record.error:
-                    self.process_notes += [str(bench.record.error)]
-                summary = self._summary(reason)
-                if not is_closed:
+                summary = self._summary(ending)
+                if has_consumer:
                     yield summary
+        return self._result(summary, faults)
+
+    def _reported(self, ending: Ending, *, with_worst: bool = True) -> Iterator[SearchEvent]:
+        # If the search was cut short, failures that arrived before their turn count. Otherwise, they are forgotten.
+        is_cut = ending.is_broken_off or ending is Ending.MAX_TIME
+        for settled in self.store.settle(keeps=is_cut):
+            self.state.finds[settled.signature] = settled.id
+            self.state.counts += settled.counts
+        yield from self._events(self.store.release())
+        if with_worst:
+            yield from self._events(self.store.note_worst(self.state))
+
+    def _compared(self) -> Iterator[SearchEvent]:
+        if self.harness.against is None or self.state.space is None or not self.store.count:
+            return
+        now = self.state.clock()
+        worse = MadeWorse(
+            state=self.state,
+            bench=self.bench,
+            store=self.store,
+            end=now + (self.limit - now) / 2,
+        )
+        self._worse = worse
+        yield from self._events(worse.compare(self.state.space))
+
+    def _result(self, summary: Search, faults: Sequence[SetupFaultError]) -> SearchResult:
+        __tracebackhide__ = True
+        store, state, harness = self.store, self.state, self.harness
+        fault: BaseException | None = None
+        for each in faults:
+            fault = each.shown(harness.world, harness.policy)
         return SearchResult(
             summary=summary,
             findings=tuple(store.findings.values()),
             count=store.count,
             first_exception=store.first_exception,
-            fault=None if fault is None else fault.shown(harness.world, harness.policy),
+            fault=fault,
             skip=self._skip(),
             is_vacuous=state.counts.health.vacuous or bool(state.counts.broken),
+        )
+
+    def _summary(self, ending: Ending) -> Search:
+        bench = self.bench
+        self.process_notes += bench.runner.notes
+        if bench.record.error:
+            self.process_notes.append(str(bench.record.error))
+        return summary_of(
+            ending,
+            node_id=self.watch.node_id,
+            state=self.state,
+            bench=bench,
+            store=self.store,
+            paired=None if self._worse is None else self._worse.paired,
+            driver_notes=self.driver_notes,
+            process_notes=self.process_notes,
         )
 
     def _skip(self) -> BaseException | None:
@@ -399,18 +448,6 @@ class SearchSession:
         except ProcessLostError:  # without a skip to report, the item has its usual result
             return None
         return verdict.exception if verdict.kind == "skipped" else None
-
-    def _settle(self, reason: Ending) -> None:
-        # If the search was cut short, failures that arrived before their turn count. Otherwise, they are forgotten.
-        is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
-        for signature, id_, counts in self.store.settle(keeps=is_cut):
-            self.state.finds[signature] = id_
-            self.state.counts += counts
-
-    def _refine(self) -> Iterator[SearchEvent]:
-        __tracebackhide__ = True
-        with GENERATORS.held():
-            yield from self._events(refine(self.state, self.bench, self.store, until=self.limit))
 
     def _retried(self, left: Sequence[Leftover]) -> Generator[SearchEvent, None, list[Leftover]]:
         # Run the scenario of each dead process again, in the same world. The crash records that are returned are
@@ -441,24 +478,21 @@ class SearchSession:
                     f"{dict(leftover.world or {})!r:.200}. The run cannot be repeated, so it is not a finding"
                 )
                 continue
-            death, trace = None, None
+            deaths = list[LostRun]()
+            is_well = False
             if harness.request.settings.isolate or forks():
                 try:
-                    trace = judged_apart(
-                        harness.job(world), scenario, partial(harness.judge_trace, world)
-                    )
+                    judge = partial(harness.judge_trace, world)
+                    raised = judged_apart(harness.job(world), scenario, judge).error
+                    # An error of the ADS at its first decision may occur only in the separate process.
+                    is_well = raised is None or (raised.tick > 0 and not raised.interrupted)
                 except ProcessLostError as error:
-                    death = error
+                    deaths.append(error)
                 except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
                     pass
             has_died_twice = sum(not each.is_watched for each in same) > 1
-            # An error of the ADS at its first decision may occur only in the separate process.
-            raised = None if trace is None else trace.error
-            is_well = trace is not None and (
-                raised is None or (raised.tick > 0 and not raised.interrupted)
-            )
             if has_died_twice or not is_well:
-                sighting = self.store.add_crash(leftover, scenario, death)
+                sighting = self.store.add_crash(leftover, scenario, deaths)
                 pending.remove(leftover)
                 leftover.discard()
                 yield from self._events(self.store.publish(sighting))
@@ -482,12 +516,12 @@ class SearchSession:
         self, saved: Sequence[Saved], began: float
     ) -> Generator[SearchEvent, None, Ending]:
         __tracebackhide__ = True
-        state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
-        if space is None:
+        state, bench, watch, clock = self.state, self.bench, self.watch, self.state.clock
+        if state.space is None:
             return Ending.REPLAYS
-        request, settings = self.harness.request, self.harness.request.settings
+        request = self.harness.request
         try:
-            algorithm = request.algorithm.make(space)
+            algorithm = request.algorithm.make(state.space)
         except ValueError as error:
             raise RequestError(str(error)) from None
         state.is_random = isinstance(algorithm, RandomSearch)
@@ -497,187 +531,38 @@ class SearchSession:
         }
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
-            with runs_end_in(self.bench.refining_end - clock()):
+            with runs_end_in(bench.budget.end - clock()):
                 state.shown, accepted = self.replays.shown_by(saved)  # Their failures are not new.
-                self.bench.examiner.accepted.update(accepted)
         except OutOfTime:  # Without all replays, it is unclear which failures are new.
             return Ending.MAX_TIME
+        # Before the search starts processes, which have a copy of the examiner.
+        bench.examiner.accepted.update(accepted)
         watch.begin(until)
         runs_before = state.runs
         try:
             scenarios = scenarios_of(
                 algorithm,
-                self.bench,
-                generations=settings.generations,
-                runs=settings.runs,
+                bench,
+                generations=request.settings.generations,
+                runs=request.settings.runs,
                 seed=self.store.seed,
             )
-            yield from self._events(search(scenarios, state, self.bench, self.store, watch))
+            yield from self._events(search(scenarios, state, bench, self.store, watch))
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
-        lost, runs = clock() - watch.last, state.runs - runs_before
-        is_cut = state.finished is not None and state.finished.reason == "time"
-        if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
+        if state.finished is None:
+            return Ending.INTERRUPTED
+        lost = clock() - watch.last
+        runs = state.runs - runs_before
+        mean = (watch.last - watch.began) / (runs + 1)
+        if state.finished.reason == "time" and lost > max(1.0, SLOW_RUNS * mean):
             self.driver_notes.append(
                 f"{Ending.MAX_TIME} stopped a run after {lost:.1f} s, with {plural(runs, 'run')} before it. To find "
                 "out whether a decision hangs, use a longer limit, or a shorter hang_limit of the world"
             )
-        return (
-            Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
-        )
-
-    def _ending_of(self, reason: EndReason) -> Ending:
-        match reason:
-            case "generations":
-                return Ending.GENERATIONS
-            case "runs":
-                return Ending.RUNS
-            case "time":
-                return Ending.MAX_TIME
-            case "stopped":
-                return Ending.FINDINGS
-
-    def _summary(self, reason: Ending) -> Search:
-        settings, state, counts = self.harness.request.settings, self.state, self.state.counts
-        health = counts.health
-        cut = [f"{reason} ended the search, so the same seed may find other failures"] * (
-            reason is Ending.MAX_TIME
-        )
-        notes = (
-            counts.doubt,
-            state.known_alone,
-            self._unused,
-            self._without_effect,
-            self._left_out,
-            "" if health.hides_most or reason not in WITH_WARNINGS else health.early_ends,
-            self.harness.policy.loading_hint if state.runs else "",
-        )
-        # After an error, the counts show nothing about the ego. If the search stops at a failure, its failure rate is
-        # too high.
-        is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
-        fails = counts.fails if is_told else Counter[str]()
-        others = fails["check"] + fails["otherwise"]
-        random = Counter(
-            runs=fails.total(), at_fault=fails["ego"], otherwise=others, checks=fails["check"]
-        )
-        budgets = {"generations": settings.generations, "runs": settings.runs}
-        decisions = {
-            "search": counts.decisions,
-            "confirm": self.bench.confirm_decisions,
-            "shrink": state.shrink_decisions,
-            "moment": state.moment_decisions,
-        }
-        return Search(
-            node_id=self.watch.node_id,
-            reason=reason,
-            algorithm=self.harness.request.algorithm.name,
-            base_seed=settings.seed,
-            seed=self.store.seed,
-            generations=state.generation if state.finished is None else state.finished.generations,
-            asked={name: most for name, most in budgets.items() if most is not None},
-            kinds=Counter({kind: counts.kinds[kind] for kind in KINDS}),
-            outcomes=counts.outcomes,
-            responsibilities=counts.responsibilities,
-            more_runs=Counter(
-                shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused
-            ),
-            decisions=Counter(decisions),
-            random=random,
-            no_interaction=health.no_interaction,
-            reached=health.reached_share,
-            finds=tuple(
-                replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()
-            ),
-            known=dict(state.covered),
-            failures=tuple((id_, signature) for signature, id_ in state.failures.items()),
-            drawn="" if self.state.space is None else self.state.space.described,
-            against=self.harness.against_name,
-            paired=None if self._worse is None else self._worse.paired,
-            no_worse=self.store.dismissed,
-            warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
-            notes=(
-                *self.driver_notes,
-                *filter(None, notes),
-                *self._worse_notes(),
-                *cut,
-                *self._left_undone(reason),
-            ),
-            seconds=state.seconds,
-            process_notes=tuple(self.process_notes),
-        )
-
-    def _worse_notes(self) -> Iterator[str]:
-        for signature, id_ in self.state.finds.items():
-            if signature.worse_than is not None:
-                most, known = self.bench.examiner.accepted[replace(signature, worse_than=None)]
-                yield f"{id_} is worse than saved-{known}, which was accepted for impacts at up to {most:.1f} m/s"
-
-    @property
-    def _without_effect(self) -> str:
-        lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
-        if not self.state.runs:  # without a run, it is unclear whether the environment can be built
-            return ""
-        policy = self.harness.policy
-        given = world.options_without_effect(
-            drives_itself=policy.drives_itself, simulates=policy.simulates
-        )
-        given.pop(f"write ego_lane={lane!r}", None)  # the test specifies it already
-        told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
-        return (
-            f"these options of config= have no effect in a search: {'; '.join(told)}"
-            if told
-            else ""
-        )
-
-    @property
-    def _left_out(self) -> str:
-        is_driven = bool(self.state.runs) and not self.harness.policy.drives_itself
-        return left_out_text(self.harness.world) if is_driven else ""
-
-    @property
-    def _unused(self) -> str:
-        # Without an NPC on other paths, the search shows nothing about traffic there.
-        world, unused = self.harness.world, self.harness.world.unused_roads
-        crosses = self.state.space is not None and self.state.space.zones
-        if not unused or not self.state.runs or crosses:
-            return ""
-        verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
-        none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
-        where = getattr(world, "env_id", type(world).__name__)
-        which = f"at {where}, all NPCs drive along the ego's path and none {none}"
-        return f"{which}, so the search shows nothing about such traffic"
-
-    def _left_undone(self, reason: Ending) -> Iterator[str]:
-        request, store = self.harness.request, self.store
-        settings = request.settings
-        is_broken_off = reason.is_broken_off
-        firm = [each for each in store.findings.values() if each.is_firm]
-        left = [
-            each
-            for each in firm
-            if (each.finding.shrunk is None if is_broken_off else each.unshrunk)
-        ]
-        if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_runs != 0:
-            what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete the new files, and " if any(each.path for each in left) else ""
-            again = f"{first}search again with {request.option('seed', settings.seed)}"
-            if is_broken_off:
-                yield f"the search ended before {what} simplified. {capitalised(again)}"
-            else:
-                yield f"{Ending.MAX_TIME} ended the search before {what} simplified. {capitalised(again)} and more time"
-        if self.bench.is_at_limit:
-            more = f"delete the file, and search again with {flag('shrink_runs')}=N"
-            yield f"simplifying stopped at its limit. To simplify further, {more}"
-        is_short = settings.runs == RUNS
-        if (
-            is_short
-            and reason is Ending.RUNS
-            and not self.state.counts.kinds["failed"]
-            and not store.count
-        ):
-            yield f"a search with {RUNS} runs is short. Use {request.option('runs', 10 * RUNS)} for a longer one"
+        return ENDINGS[state.finished.reason]
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:

@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import assert_never
 
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
 from pytest_pafot.execution.runner import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, portable, speed_of
+from pytest_pafot.findings.finding import Expect, Finding, portable, speed_of
 from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searches.bench import Bench
+from pytest_pafot.searches.bench import Confirmation, Differs, NoTime, Same
 from pytest_pafot.searches.events import SearchEvent
 from pytest_pafot.searches.harness import Harness, PlainFailure
-from pytest_pafot.searches.results import Counts, Result, State, found_by, lost
+from pytest_pafot.searches.results import (
+    Counts,
+    Result,
+    State,
+    cause_of_death,
+    death_of,
+    found_by,
+    headline_of_death,
+)
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.process import REPLACED, postponed
-from pytest_pafot.world import codec
 
 # The remark on a finding that there was no time to run again.
 UNCONFIRMED = "it was not confirmed, because the time ran out"
@@ -39,6 +44,42 @@ UNSEEN_CRASH = Expect(
     time=0.0,
     message="the process ended while it ran this scenario",
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """A new finding of a search, saved but not yet reported."""
+
+    seen: Seen
+
+    @property
+    def id(self) -> str:
+        return self.seen.id
+
+
+@dataclass(frozen=True, slots=True)
+class OnlyCounted:
+    """A new failure of a search that saves no findings."""
+
+    id: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlyFailure:
+    """A failure that arrived before its turn, with its file unless it could not be saved."""
+
+    result: Result
+    number: int  # the number of its run
+    files: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settled:
+    """A failure that counts although its turn never came."""
+
+    signature: Signature
+    id: str
+    counts: Counts
 
 
 @dataclass(slots=True, kw_only=True)
@@ -57,8 +98,8 @@ class Store:
     held: list[str] = field(default_factory=list)
     # headlines of findings that do not count, by id
     dismissed: dict[str, str] = field(default_factory=dict)
-    # Failures that arrived before their turn: the file, if any, the result, and the number of the run.
-    early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
+    # failures that arrived before their turn
+    early: dict[Signature, EarlyFailure] = field(default_factory=dict)
     # False once findings are reported immediately, because they are no fault of the set-up
     is_holding: bool = True
 
@@ -71,68 +112,76 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(each.is_firm for each in self.findings.values())
 
-    def add(self, result: Result, generation: int) -> Seen | str:
+    def add(self, result: Result, generation: int) -> Saved | OnlyCounted:
         """Save a new finding without reporting it. If failures are only counted, just return its id."""
         failed = result.failed
         assert failed is not None  # noqa: S101  (the failure is new)
         finding = failed.found_in(generation)
         self._forget_early(finding, failed.signature)
         if self.only_counts:
-            return finding.id
+            return OnlyCounted(finding.id)
+        verdict = Verdict(
+            kind="failed", exception=PlainFailure(failed.text), severity=result.severity
+        )
         # An interrupt must not separate saving a finding from noting that it is held back.
         with postponed():
-            verdict = Verdict(
-                kind="failed", exception=PlainFailure(failed.text), severity=result.severity
-            )
-            return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
+            seen = self._saved(finding, failed.headline, verdict, has_drawn=failed.drew)
+            return Saved(self._held(seen))
 
-    def confirmed(
-        self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None
-    ) -> Seen:
-        """Update a finding with the results of :meth:`.Bench.confirm`, and return the new version."""
-        if differs:
-            sighting = self.call_flaky(sighting, differs)
-        elif differs is None:
-            sighting = replace(sighting, unshrunk=UNCONFIRMED)
-        if run is not None and verdict is not None:
-            observed = replace(sighting.observed, run=run, verdict=verdict)
-            sighting = replace(sighting, observed=observed)
-        self.findings[sighting.id] = sighting
-        return sighting
+    def confirmed(self, seen: Seen, confirmation: Confirmation) -> Seen:
+        """Update a finding with the comparison with its second run, and return the new version."""
+        match confirmation:
+            case Same():
+                pass
+            case Differs(why=why):
+                seen = self.call_flaky(seen, why)
+            case NoTime():
+                seen = replace(seen, unshrunk=UNCONFIRMED)
+            case _:
+                assert_never(confirmation)
+        for again in confirmation.again:
+            observed = replace(seen.observed, run=again.run, verdict=again.verdict)
+            seen = replace(seen, observed=observed)
+        self.findings[seen.id] = seen
+        return seen
 
     def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
         """Save a new failure before its turn, so that it is not lost if the session is killed."""
-        failed, saved = result.failed, None
+        failed = result.failed
         if failed is None or failed.signature in known or failed.signature in self.early:
             return
         finding = failed.found_in(number)
         with postponed():  # An interrupt must not leave a file that no report mentions.
+            files: tuple[Path, ...] = ()
             if self.harness.request.settings.save != "none":
                 path, finding = free_path(self.harness.folder, finding, self.replayed)
                 with suppress(CorpusWriteError):  # The error is reported in its turn.
-                    saved = path if write(path, finding) else None
-            self.early[failed.signature] = saved, result, number
+                    if write(path, finding):
+                        files = (path,)
+            early = EarlyFailure(result=result, number=number, files=files)
+            self.early[failed.signature] = early
 
     def _forget_early(self, finding: Finding, signature: Signature) -> None:
         # Remove the file of an early failure if the same failure came before it in another run.
-        path, *_ = self.early.pop(signature, (None,))
-        if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
-            _remove_early(path)
-
-    def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
-        """Turn early failures into findings and yield their signatures, ids and counts, or just remove their files."""
-        for signature, (path, result, number) in [*self.early.items()]:
-            if keeps:
-                sighting = self.add(result, number)
-                id_ = sighting if isinstance(sighting, str) else sighting.id
-                if not isinstance(sighting, str):
-                    self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
-                counts = Counts.from_result(result, number)
-                # passing runs before it are not counted, so the failure rate would be too high
-                counts.fails.clear()
-                yield signature, id_, counts
-            elif path is not None:
+        early = self.early.pop(signature, None)
+        for path in () if early is None else early.files:
+            if path != free_path(self.harness.folder, finding, self.replayed)[0]:
                 _remove_early(path)
+
+    def settle(self, *, keeps: bool) -> Iterator[Settled]:
+        """Turn early failures into findings and yield them, or just remove their files."""
+        for signature, early in [*self.early.items()]:
+            if not keeps:
+                for path in early.files:
+                    _remove_early(path)
+                continue
+            added = self.add(early.result, early.number)
+            if isinstance(added, Saved):
+                self.findings[added.id] = replace(added.seen, unshrunk=UNCONFIRMED)
+            counts = Counts.from_result(early.result, early.number)
+            # Passing runs before it are not counted, so the failure rate would be too high.
+            counts.fails.clear()
+            yield Settled(signature=signature, id=added.id, counts=counts)
         self.early.clear()
 
     def release(self) -> Iterator[Seen]:
@@ -218,57 +267,34 @@ class Store:
     def file_of(self, sighting: Seen) -> Path:
         return self.harness.folder / f"{sighting.id}{SUFFIX}"
 
-    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Seen:
-        """Save a scenario in which an earlier session's process died. ``again`` is set if a second process was lost."""
+    def add_crash(self, leftover: Leftover, scenario: Scenario, deaths: Sequence[LostRun]) -> Seen:
+        """Save a scenario in which an earlier session's process died.
+
+        ``deaths`` has the death of the process that ran the scenario again, if that died, too.
+        """
         text = f"a process (pid {leftover.pid}) died while it ran this scenario"
-        if again is None:
+        expect = UNSEEN_CRASH
+        line = "crash: a process died while it ran this scenario"
+        for death in deaths:
+            why = cause_of_death(death, "delete the file")
+            text += f", and the process that ran it again {death.end}: {why}"
+            expect = expectation(death)
+            line = headline_of_death(death)
+        if not deaths:
             text += (
                 ". Possible causes are a crash in native code, something that accumulates from run to run, such as "
                 "memory, and a signal from outside. If something else killed the process, delete the file"
             )
-        else:
-            text += f", and the process that ran it again {again.end}: {cause(again, 'delete the file')}"
-        expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
-        if again is not None:
-            expect, line = expectation(again), _headline(again)
-        finding = self._death(
-            scenario, expect, found_by(self.harness, self.seed, algorithm="crash"), leftover.world
-        )
+        found = found_by(self.harness, self.seed, algorithm="crash")
+        finding = death_of(self.harness, scenario, expect, found=found, world=leftover.world)
+        verdict = Verdict(kind="failed", exception=PlainFailure(text))
         with postponed():
-            return self._held(
-                self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text)))
-            )
-
-    def add_lost(self, lost: LostRun, generation: int) -> Seen:
-        """Save a scenario in which a process of this search died or hung."""
-        again = "" if lost.is_hang else ", even when it was repeated"
-        text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
-        text += cause(lost, f"delete the file, and use {flag('workers', 1)}")
-        finding = self._death(
-            lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None
-        )
-        self._forget_early(finding, finding.signature)
-        with postponed():
-            died = Verdict(kind="failed", exception=PlainFailure(text))
-            return self._held(self._saved(finding, _headline(lost), died))
+            return self._held(self._saved(finding, line, verdict))
 
     def _held(self, sighting: Seen) -> Seen:
         self.findings[sighting.id] = sighting
         self.held.append(sighting.id)
         return sighting
-
-    def _death(
-        self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None
-    ) -> Finding:
-        return Finding(
-            id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
-            test=self.harness.node_id,
-            scenario=scenario,
-            world=world or codec.described(self.harness.world),
-            expect=expect,
-            found=found,
-            perception=self.harness.policy.sight,
-        )
 
     @REPLACED.shown(False)  # restores functions that the test function has replaced
     def _saved(
@@ -313,34 +339,13 @@ def _remove_early(path: Path) -> None:
             path.unlink()
 
 
-def _headline(lost: LostRun) -> str:
-    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.end}"
-
-
-def cause(lost: LostRun, way_out: str) -> str:
-    """Return the likely cause of the loss of a process, with ``way_out`` as advice."""
-    if lost.end == OUT_OF_MEMORY:
-        return "the ADS uses more and more memory, or needs more than its limit"
-    if lost.end == WORLD_HANGS:
-        return f"the world hangs, or is too slow. If it is too slow, set a longer hang_limit and {way_out}"
-    if not lost.is_hang:
-        return "the likely cause is a crash in native code, a call that ends the process, or a lack of memory"
-    return (
-        "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
-        f"does not work in a forked process. In the last case, {way_out}"
-    )
-
-
-def lose(
-    death: LostRun, state: State, bench: Bench, store: Store
-) -> Generator[SearchEvent, None, Result]:
-    """Record a scenario in which a process was lost, and return its result. It is not run again."""
-    # It is no failure if the reference does not pass the scenario either.
-    state.fatal.add(death.task)
-    result = lost(death.task, death, is_common=bench.is_common(death.task))
-    signature = result.evaluation.kind
-    if isinstance(signature, Signature) and signature not in state.known:
-        sighting = store.add_lost(death, state.generation)
-        yield from store.publish(sighting)
-        state.finds[signature] = sighting.id
-    return result
+def record_death(result: Result, state: State, store: Store) -> Iterator[SearchEvent]:
+    """Record a scenario in which a process was lost while findings were refined or policies compared."""
+    state.fatal.add(result.evaluation.scenario)
+    failed = result.failed
+    if failed is None or failed.signature in state.known:
+        return
+    added = store.add(result, state.generation)
+    if isinstance(added, Saved):
+        yield from store.publish(added.seen)
+    state.finds[failed.signature] = added.id

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.execution import pool as execution_pool
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import Done, Lost, ProcessLostError, RunItHere, WorkerPool
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 
 pytestmark = pytest.mark.skipif(
@@ -49,7 +49,18 @@ def pool_of():
 
 
 def fetched(pool, tasks=TASKS):
-    return [pool.fetch(task) for task in tasks]
+    return [content(pool.fetch(task)) for task in tasks]
+
+
+def content(answer):
+    """Return the result, the death or the error in an answer."""
+    match answer:
+        case Done(value):
+            return value
+        case Lost(death):
+            return death
+        case RunItHere(error):
+            return error
 
 
 @pytest.mark.processes
@@ -82,10 +93,10 @@ def test_answers_are_fetched_in_any_order(pool_of, tmp_path, size):
 @pytest.mark.processes
 def test_idle_process_ends_and_is_replaced_on_demand(pool_of):
     pool = pool_of(lambda number: None, 1, idle=0.05)
-    assert pool.fetch(2) == 4
+    assert pool.fetch(2) == Done(4)
     (worker,) = pool._workers
     worker.process.join()
-    assert pool.fetch(3) == 9
+    assert pool.fetch(3) == Done(9)
     assert pool.recovered == []
 
 
@@ -118,7 +129,7 @@ def test_what_a_process_has_started_ends_with_it(pool_of, is_stuck):
     os.close(write)
     assert os.read(read, 1) == b"."
     if is_stuck:
-        assert "ignored the interrupt" in pool.fetch(0).end
+        assert "ignored the interrupt" in pool.fetch(0).death.end
     pool.close(at_once=True)
     assert select.select([read], [], [], 30.0)[0], "the program holds its end"
     assert os.read(read, 1) == b""
@@ -179,7 +190,7 @@ def test_an_interrupt_while_a_process_starts_is_for_the_session_alone_too():
         pool.expect([3])
         (process,) = multiprocessing.active_children()
         os.kill(process.pid, signal.SIGINT)
-        assert pool.fetch(3) == 9
+        assert pool.fetch(3) == Done(9)
 
 
 def test_unfetched_answers_are_forgotten_with_the_next_tasks(pool_of):
@@ -270,7 +281,7 @@ def test_task_of_a_dead_process_is_retried_and_alone_if_it_was_killed(pool_of, t
 
     pool = pool_of(work)
     pool.expect(TASKS[:4])
-    assert pool.fetch(0) == 0
+    assert pool.fetch(0) == Done(0)
     assert ((tmp_path / "meanwhile").read_text() == "running-0") == is_killed
     assert [lost.task for lost in pool.recovered] == [0]
     assert fetched(pool, TASKS[1:4]) == [1, 4, 9]
@@ -281,7 +292,7 @@ def test_process_that_dies_between_tasks_is_replaced(pool_of):
     pool = pool_of(lambda number: None, size=1)
     for task in TASKS[:2]:
         pool.expect([task])
-        assert pool.fetch(task) == task
+        assert pool.fetch(task) == Done(task)
         (process,) = multiprocessing.active_children()
         process.kill()
         process.join()
@@ -298,9 +309,9 @@ def test_silent_process_is_killed_as_a_hang(pool_of):
     pool.expect(TASKS[:3])
     answers = [pool.fetch(0), pool.fetch(2)]
     pool.patience = 0.3  # only now, since a busy machine may delay any answer that long
-    lost = pool.fetch(1)
+    lost = pool.fetch(1).death
     assert (lost.is_hang, lost.end) == (True, "did not answer for 0.3 s and was killed")
-    assert answers == [0, 4]
+    assert answers == [Done(0), Done(4)]
 
 
 def answering(then):
@@ -324,7 +335,7 @@ def test_slow_process_that_answers_signals_is_not_killed(pool_of):
 
     pool = pool_of(work, patience=0.3, clock=lambda: now.value)
     pool.expect([3])
-    assert pool.fetch(3) == 9
+    assert pool.fetch(3) == Done(9)
 
 
 def test_process_is_not_silent_while_nobody_looks(pool_of, tmp_path):
@@ -341,7 +352,7 @@ def test_process_is_not_silent_while_nobody_looks(pool_of, tmp_path):
     while not (tmp_path / "begun").exists():
         time.sleep(0.001)
     now[0] = 0.6
-    assert pool.fetch(3) == 9
+    assert pool.fetch(3) == Done(9)
 
 
 def test_an_exception_kills_those_at_work_at_once(pool_of):
@@ -444,8 +455,8 @@ def test_task_in_which_its_process_is_terminated_is_lost(pool_of, tmp_path, is_f
     while not (tmp_path / "works").exists():
         time.sleep(0.01)
     worker.process.terminate()
-    task, lost = pool.hear(waits=True) if is_followed else next(pool.completed())
-    assert (task, lost.end, lost.pid) == (1, "was ended by SIGTERM", worker.pid)
+    task, lost = (pool.messages(waits=True) if is_followed else list(pool.completed()))[0]
+    assert (task, lost.death.end, lost.death.pid) == (1, "was ended by SIGTERM", worker.pid)
     assert left == [worker.pid]
 
 
@@ -467,7 +478,7 @@ def test_task_that_is_sent_to_a_process_that_leaves_is_run_by_another(
     (pool.follow if is_followed else lambda task: pool.expect([task]))(3)
     assert worker.task == 3
     (tmp_path / "sent").touch()
-    assert (pool.hear(waits=True) if is_followed else (3, pool.fetch(3))) == (3, 9)
+    assert (pool.messages(waits=True) if is_followed else [(3, pool.fetch(3))]) == [(3, Done(9))]
     assert pool.recovered == []
 
 
@@ -566,7 +577,7 @@ def test_every_answer_explains_that_no_process_could_start(pool_of, monkeypatch)
     assert all("temporarily unavailable" in str(answer) for answer in fetched(pool))
     assert "temporarily unavailable" in pool.failure
     monkeypatch.undo()
-    assert isinstance(pool.fetch(7), RuntimeError), "what was told once should hold"
+    assert isinstance(pool.fetch(7), RunItHere), "what was told once should hold"
 
 
 def test_tasks_complete_as_they_finish(tmp_path):
@@ -579,7 +590,7 @@ def test_tasks_complete_as_they_finish(tmp_path):
     with WorkerPool(work, 2, method="fork", patience=30.0) as pool:
         pool.expect(["long", "first", "second"])
         for task, answer in pool.completed():
-            done.append((task, answer))
+            done.append((task, content(answer)))
             if task == "second":
                 (tmp_path / "others are done").touch()
     assert done == [(task, task) for task in ("first", "second", "long")]
@@ -589,8 +600,8 @@ def test_completed_does_not_retry_a_task_that_died(pool_of):
     pool = pool_of(lambda number: os._exit(5) if number == 1 else None)
     pool.expect([0, 1, 2])
     answers = dict(pool.completed())
-    assert isinstance(answers.pop(1), ProcessLostError)
-    assert answers == {0: 0, 2: 4}
+    assert isinstance(answers.pop(1), Lost)
+    assert answers == {0: Done(0), 2: Done(4)}
 
 
 @pytest.mark.processes
@@ -599,7 +610,7 @@ def test_starting_processes_next_to_threads_emits_no_warning(pool_of):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pool.expect([0])
-        assert pool.fetch(0) == 0
+        assert pool.fetch(0) == Done(0)
 
 
 @pytest.mark.processes

@@ -3,8 +3,8 @@
 import pytest
 
 from pytest_pafot.execution import runner as execution_runner
-from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import CapturedOutput, ExecutionError, Job, runner_for
+from pytest_pafot.execution.pool import Done, Lost, ProcessLostError, RunItHere
+from pytest_pafot.execution.runner import CapturedOutput, ExecutionError, Job, Timed, runner_for
 from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.toy_world import scenario, trace_of
 
@@ -28,11 +28,8 @@ class Pool:
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
-        return self.answers.get(scenario.seed) or (
-            trace_of(scenario),
-            CapturedOutput(),
-            self.seconds,
-        )
+        made = Timed(trace_of(scenario), CapturedOutput(), self.seconds)
+        return self.answers.get(scenario.seed, Done(made))
 
     def close(self, *, at_once):
         self.expected, self.closed = [], at_once
@@ -74,7 +71,7 @@ def runner_of(tmp_path, monkeypatch):
 
 def asked(runner, scenarios=SCENARIOS):
     """Return the numbers of the runs, in order."""
-    return [made.scenario.seed for made in runner.results(scenarios, lambda scenario: False)]
+    return [made.value.scenario.seed for made in runner.results(scenarios, lambda scenario: False)]
 
 
 class TestProcesses:
@@ -106,7 +103,7 @@ class TestProcesses:
             made = runner.results(SCENARIOS, lambda scenario: False)
             next(made)
             world.seconds = 0.005
-            assert [each.scenario for each in made] == SCENARIOS[1:]
+            assert [each.value.scenario for each in made] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == [
@@ -119,7 +116,7 @@ class TestProcesses:
         made = runner.results(SCENARIOS, lambda scenario: False)
         next(made)
         world.seconds = 0.02
-        assert [each.scenario for each in made] == SCENARIOS[1:]
+        assert [each.value.scenario for each in made] == SCENARIOS[1:]
         assert world.ran == [0, 1]
 
     def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
@@ -149,18 +146,19 @@ class TestProcesses:
         world, needless = World(0.02), set()
         made = []
         for each in runner_of(world, Pool(), workers).results(SCENARIOS, needless.__contains__):
-            made.append(each.scenario.seed)
+            made.append(each.value.scenario.seed)
             needless |= {SCENARIOS[3], SCENARIOS[4]}
         assert made == [0, 1, 2, 5, 6, 7]
 
     def test_run_impossible_in_other_processes_is_made_here(self, runner_of):
-        world, pool = World(0.02), Pool({4: ValueError()})
+        world, pool = World(0.02), Pool({4: RunItHere(ValueError())})
         assert asked(runner_of(world, pool)) == list(range(8))
         assert world.ran == [0, 4]
 
     def test_output_of_processes_is_replayed_in_scenario_order(self, runner_of, capsys):
         answers = {
-            n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02) for n in range(1, 8)
+            n: Done(Timed(trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02))
+            for n in range(1, 8)
         }
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 1\nrun 2\nrun 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
@@ -168,10 +166,10 @@ class TestProcesses:
     def test_lost_process_takes_the_place_of_its_result(self, runner_of):
         lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
         made = list(
-            runner_of(World(0.02), Pool({3: lost})).results(SCENARIOS, lambda scenario: False)
+            runner_of(World(0.02), Pool({3: Lost(lost)})).results(SCENARIOS, lambda scenario: False)
         )
-        assert made[3] is lost
-        assert [each.scenario for each in made if each is not lost] == [
+        assert made[3] == Lost(lost)
+        assert [each.value.scenario for each in made if each != Lost(lost)] == [
             *SCENARIOS[:3],
             *SCENARIOS[4:],
         ]

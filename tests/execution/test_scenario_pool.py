@@ -12,7 +12,8 @@ import pytest
 
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.runner import Job, expectation, made_from, pool_for
+from pytest_pafot.execution.pool import Done, Lost, RunItHere
+from pytest_pafot.execution.runner import Job, expectation, pool_for
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.toy_world import Toy, idle, scenario
@@ -52,7 +53,7 @@ def fetched(pool, scenario=SCENARIOS[0]):
 
 
 def test_traces_come_back_read_only(pool_of):
-    states = made_from(fetched(pool_of(lambda number: None), SCENARIOS[3])).states
+    states = fetched(pool_of(lambda number: None), SCENARIOS[3]).value.value.states
     assert np.array_equal(states, np.full((2, 2, 7), 3.0))
     assert not states.flags.writeable
 
@@ -61,7 +62,7 @@ def test_what_raises_is_left_to_this_process(pool_of):
     def fail(number):
         raise SystemExit("no such planner")
 
-    assert made_from(fetched(pool_of(fail))) is None
+    assert isinstance(fetched(pool_of(fail)), RunItHere)
 
 
 def test_result_that_cannot_be_sent_is_an_exception(pool_of):
@@ -69,7 +70,7 @@ def test_result_that_cannot_be_sent_is_an_exception(pool_of):
         """A warning that belongs to no module, so it cannot be pickled."""
 
     assert isinstance(
-        fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception
+        fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), RunItHere
     )
 
 
@@ -79,7 +80,9 @@ def test_scenario_is_on_disk_only_while_it_runs(pool_of, tmp_path):
         (tmp_path / "copy").write_text(f"{os.getpid()} {path.read_text()}")
         os._exit(9)
 
-    lost = fetched(pool_of(copy_and_die), SCENARIOS[4])
+    answer = fetched(pool_of(copy_and_die), SCENARIOS[4])
+    assert isinstance(answer, Lost)
+    lost = answer.death
     assert lost.end == "ended with exit code 9"
     pid, record = (tmp_path / "copy").read_text().split(maxsplit=1)
     assert f'"owner": "test_it.py::test_it", "pid": {pid}, ' in record
@@ -111,7 +114,7 @@ def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
     answer = fetched(pool_of(chat))
     assert capsys.readouterr() == ("", "")
     with pytest.warns(DeprecationWarning, match="old interface") as warned:
-        made_from(answer)
+        answer.value.output.repeat()
     assert warned[0].filename == __file__
     assert capsys.readouterr() == ("driving 0\nbytes\n", "careful\n")
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
@@ -129,7 +132,7 @@ def test_exception_in_a_thread_of_another_process_is_told_to_the_hook_of_this_on
     monkeypatch.setattr(threading, "excepthook", told.append)
     answer = fetched(pool_of(drive))
     assert not told
-    made_from(answer)
+    answer.value.output.repeat()
     (ended,) = told
     assert ended.thread.name == "planning"
     assert "1 / number" in str(ended.exc_value)
@@ -141,7 +144,9 @@ def test_ads_that_closes_stdout_closes_only_its_own(pool_of, capsys):
         print("last words")
         sys.stdout.close()
 
-    assert made_from(fetched(pool_of(close))) is not None
+    answer = fetched(pool_of(close))
+    assert isinstance(answer, Done)
+    answer.value.output.repeat()
     assert capsys.readouterr().out == "last words\n"
 
 
@@ -151,7 +156,7 @@ def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
         answer = fetched(
             pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1))
         )
-    made_from(answer)
+    answer.value.output.repeat()
     assert not recwarn.list
 
 
@@ -159,5 +164,5 @@ def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
 def test_spawned_processes_run_a_picklable_factory(job_of, monkeypatch):
     monkeypatch.setattr(runner, "METHOD", "spawn")
     with pool_for(job_of(idle), 1) as pool:
-        assert made_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
+        assert fetched(pool, SCENARIOS[1]).value.value.scenario == SCENARIOS[1]
     assert pool.failure == ""

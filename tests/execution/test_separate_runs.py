@@ -84,7 +84,7 @@ def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork
 def test_what_a_function_makes_of_a_scenario_in_a_forked_process_comes_back(job_of):
     job = replace(job_of(idle), read=lambda trace: "what is sent of other runs")
     with job.crash_record() as record, Apart(job, record) as apart:
-        assert apart.once(ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (
+        assert apart.once_by(ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (
             1,
             True,
         )

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.runner import Apart
+from pytest_pafot.execution.runner import Apart, in_gym
 from pytest_pafot.world import Highway
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -101,7 +101,7 @@ def test_no_record_of_the_session_stands_while_another_process_drives_in_highway
     fetched = Apart._fetched
 
     def fetch(self, task):
-        seen.extend([len(standing)] * (getattr(task, "method", "") == "rollout_in_gym"))
+        seen.extend([len(standing)] * (getattr(task, "simulate", None) is in_gym))
         return fetched(self, task)
 
     monkeypatch.setattr(Apart, "_fetched", fetch)

@@ -12,13 +12,14 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.algorithms.evaluation import Evaluation
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import expectation
 from pytest_pafot.findings.finding import signature_of_failure
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.terminal import search_lines
-from pytest_pafot.searches.results import Counts, Examiner, Result, lost
-from pytest_pafot.searches.store import Store
+from pytest_pafot.searches.results import Counts, Examiner, Result, not_run
+from pytest_pafot.searches.store import EarlyFailure, OnlyCounted, Store
 from tests.helpers.traces import blamed_on, trace_of, vehicle
 
 KINDS = ("passed", "failed", "npc", "common", "rejected", "skipped", "invalid", "lost")
@@ -93,13 +94,12 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
 
 def test_failures_before_their_turn_are_in_no_share(monkeypatch):
     """The runs beside them that passed are not counted, so the share would be too high."""
-    evaluation = replace(lost(trace_of(vehicle(0)).scenario, None).evaluation, discarded=False)
+    evaluation = replace(not_run(trace_of(vehicle(0)).scenario), discarded=False)
     early = Result(evaluation=evaluation, kind="failed", ended="collision", fails="ego")
-    monkeypatch.setattr(Store, "add", lambda *given: "its id")
-    ((_, _, counts),) = Store(
-        harness=None, seed=1, early={"its signature": (None, early, 7)}
-    ).settle(keeps=True)
-    assert (counts.kinds["failed"], counts.fails.total()) == (1, 0)
+    monkeypatch.setattr(Store, "add", lambda *given: OnlyCounted("its id"))
+    failures = {"its signature": EarlyFailure(result=early, number=7)}
+    (settled,) = Store(harness=None, seed=1, early=failures).settle(keeps=True)
+    assert (settled.counts.kinds["failed"], settled.counts.fails.total()) == (1, 0)
 
 
 def test_early_stopped_search_gives_no_random_share():
@@ -149,7 +149,10 @@ def test_counts_of_parts_add_up_to_those_of_the_whole(kinds, cut):
 
     def result_of(kind):
         if kind == "lost":
-            return lost(crash.scenario, ProcessLostError(crash.scenario, pid=7, how="died"))
+            death = ProcessLostError(crash.scenario, pid=7, how="died")
+            signature = expectation(death).signature
+            evaluation = replace(not_run(crash.scenario), failing=True, kind=signature)
+            return Result(evaluation=evaluation, kind="failed", ended="lost")
         signature = (
             signature_of_failure(Run(crash), Failure(kind="AssertionError"))
             if kind == "failed"

@@ -140,9 +140,11 @@ def test_a_dead_process_costs_its_run_and_not_its_chunk(searched, monkeypatch):
     given = {"ads": mortal, "isolate": True, "workers": 2}
     one_by_one, _ = searched("one by one", **given)
     assert any(name.startswith("crash") for name in one_by_one["files"])
-    lost, lose = [], search.lose
+    lost, record_death = [], search.record_death
     monkeypatch.setattr(
-        search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more)
+        search,
+        "record_death",
+        lambda died, *more: lost.append(died.evaluation.scenario) or record_death(died, *more),
     )
     driven, numbers = searched("driven", drives=True, **given)
     assert numbers
@@ -207,7 +209,11 @@ def saved_early(monkeypatch):
     def add(self, *given):
         before = {*self.early}
         add_early(self, *given)
-        saved.extend(self.early[each][0] for each in self.early.keys() - before)
+        saved.extend(
+            path
+            for each in self.early.keys() - before
+            for path in self.early[each].files or (None,)
+        )
         if any(map(saved.is_awaited, saved)):
             saved.is_any.set()
 
@@ -348,7 +354,7 @@ def test_an_interrupt_while_a_failure_is_saved_early_leaves_no_file_that_the_ses
             try:
                 add_early(self, *given)
             finally:
-                noted.extend(path for path, *_ in self.early.values())
+                noted.extend(path for each in self.early.values() for path in each.files)
 
     monkeypatch.setattr(Store, "add_early", add)
     with pytest.raises(KeyboardInterrupt):

@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import pytest_pafot as pafot
+from example_ads import constant_speed
 from pytest_pafot.algorithms import SearchSpace, sample
 from pytest_pafot.algorithms.evaluation import Evaluated, Evaluation
 from pytest_pafot.execution.pool import ProcessLostError
@@ -17,16 +19,24 @@ from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searches.results import Result, State
-from pytest_pafot.searches.results import lost as result_of_death
+from pytest_pafot.searches.results import Result, State, common_death, result_of_death
 from pytest_pafot.searches.run_table import row_of
 from pytest_pafot.searches.scenarios import Bred
 from pytest_pafot.searches.search import Watch, search
 from pytest_pafot.searches.search_session import search_seed
+from pytest_pafot.searches.store import OnlyCounted
+from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.searches import Fresh
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
+HARNESS = SimpleNamespace(
+    node_id="test_it.py::test_it",
+    world=pafot.Highway(),
+    policy=Policy(constant_speed.make),
+    versions={},
+    request=SimpleNamespace(algorithm=SimpleNamespace(name="fresh")),
+)
 
 
 def quiet_trace(scenario, outcome=Outcome.COMPLETED):
@@ -65,15 +75,11 @@ class Store:
     is_holding = False
 
     def add(self, result, generation):
-        self.finds.append((result.evaluation.kind.failure, generation))
-        return f"id-{len(self.finds)}"
-
-    def add_lost(self, lost, generation):
-        self.finds.append(("hang" if lost.is_hang else "crash", generation))
-        return SimpleNamespace(id=f"id-{len(self.finds)}")
-
-    def publish(self, sighting):
-        return ()
+        kind = result.evaluation.kind.failure
+        if result.ended == "lost":
+            kind = "hang" if result.evaluation.outcome is Outcome.HANG else "crash"
+        self.finds.append((kind, generation))
+        return OnlyCounted(f"id-{len(self.finds)}")
 
 
 @dataclass
@@ -91,7 +97,7 @@ class Bench:
                 try:
                     result = self.result(scenario, state.known)
                 except ProcessLostError as lost:
-                    result = lost
+                    result = self.death(lost)
                 yield result
 
     def result(self, scenario, known):
@@ -103,9 +109,11 @@ class Bench:
         failed = SimpleNamespace(signature=kind) if kind is not None and kind not in known else None
         return Result(evaluation=evaluation, kind=verdict.kind, ended=run.outcome, failed=failed)
 
-    def is_common(self, scenario):
-        """Return whether a scenario fails the reference: every second one does if a process dies."""
-        return self.has_reference and next(self.numbers) % 2 == 1
+    def death(self, lost):
+        """Return the result of a death. The reference fails every second scenario in which a process dies."""
+        if self.has_reference and next(self.numbers) % 2 == 1:
+            return common_death(lost.task)
+        return result_of_death(lost, HARNESS, 1)
 
 
 def searched(
@@ -249,7 +257,7 @@ def test_dying_processes_are_known_from_saved_scenario():
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
     assert found.covered == {"saved": 6}
-    evaluation = result_of_death(lost_run.task, lost_run).evaluation
+    evaluation = result_of_death(lost_run, HARNESS, 1).evaluation
     row = row_of(
         Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False)
     )

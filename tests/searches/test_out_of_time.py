@@ -13,7 +13,8 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.algorithms.evaluation import Evaluated
 from pytest_pafot.execution import runner
-from pytest_pafot.execution.runner import CapturedOutput
+from pytest_pafot.execution.pool import Done
+from pytest_pafot.execution.runner import CapturedOutput, Timed
 from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.report import terminal
@@ -77,7 +78,7 @@ def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkey
     def confirming(*given):
         confirmed.append(clock.now)
         clock.now += 30
-        return None, None, ""
+        return bench.Same()
 
     confirmed = []
     clock.step = lambda: 20.0
@@ -123,23 +124,20 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
         def fetch(self, scenario):
             clock.now = max(clock.now, self.ends.pop(scenario))
-            return (
-                GENERATORS.run(self.job.world.rollout, scenario, self.job.policy.factory),
-                CapturedOutput(),
-                10.0,
-            )
+            trace = GENERATORS.run(self.job.world.rollout, scenario, self.job.policy.factory)
+            return Done(Timed(trace, CapturedOutput(), 10.0))
 
         def close(self, *, at_once=False):
             pass
 
-    def here(self, drive):
+    def run_here(self, scenario, *given, **options):
         clock.now += 10 if ended else 15  # the first run loads libraries
-        return partial(GENERATORS.run, getattr(self.world, drive))
+        return run(self, scenario, *given, **options)
 
     def confirming(self, *given):
         clock.now += 30
         self.confirm_seconds += 30
-        return None, None, ""
+        return bench.Same()
 
     def judged(run):
         ended.append(clock.now)
@@ -147,7 +145,8 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
     ended = []
     monkeypatch.setattr(runner, "pool_for", Pool)
-    monkeypatch.setattr(runner.Job, "driving", here)
+    run = runner.Here._run
+    monkeypatch.setattr(runner.Here, "_run", run_here)
     monkeypatch.setattr(bench.Bench, "confirm", confirming)
     monkeypatch.setattr(
         search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now)
@@ -260,13 +259,13 @@ def test_run_that_is_cut_counts_nowhere(clock):
 @pytest.fixture
 def confirming(monkeypatch):
     """Return the confirming runs so far; there is no time for the first three."""
-    calls, confirm = [], bench.Bench.confirm
+    calls, confirmed = [], bench.Bench._confirmed
 
     def confirming(*given):
         calls.append(given)
-        return (None, None, None) if len(calls) <= 3 else confirm(*given)
+        return bench.NoTime() if len(calls) <= 3 else confirmed(*given)
 
-    monkeypatch.setattr(bench.Bench, "confirm", confirming)
+    monkeypatch.setattr(bench.Bench, "_confirmed", confirming)
     return calls
 
 
@@ -313,14 +312,14 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
 
 def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
-    turn, bench = (
+    turn, desk = (
         Turn(end=100.0, most=math.inf, to_confirm=0),
-        SimpleNamespace(asked=0, is_at_limit=False),
+        SimpleNamespace(budget=bench.Budget()),
     )
     turn.took(0.0, confirming=10.0)
-    turn.check(74.0, bench)
+    turn.check(74.0, desk)
     with pytest.raises(OutOfBudget):
-        turn.check(75.0, bench)
+        turn.check(75.0, desk)
 
 
 def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):

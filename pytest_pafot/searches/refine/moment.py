@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.findings.decisions import (
@@ -26,11 +26,11 @@ from pytest_pafot.findings.decisions import (
 )
 from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searches.bench import Bench
 from pytest_pafot.searches.events import Phase, Refining
 from pytest_pafot.searches.harness import refusals
-from pytest_pafot.searches.refine.simplest import check_limits
 from pytest_pafot.searches.results import State
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
@@ -188,7 +188,7 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
 def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
     # Return the first decision that differs from the reference's in the same scenario.
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
-    check_limits(bench)
+    bench.budget.check()
     state.moment_runs += 1
     with (
         harness.reference_runner(harness.job(), bench.record, isolate=isolate)
@@ -215,7 +215,7 @@ def _decided_aside(
     question: Question | None,
 ) -> Refining[Aside | None]:
     # Call a new policy during the run, without affecting the run.
-    check_limits(bench)
+    bench.budget.check()
     yield Phase(f"calling the policy again in {trace.executed.id}", sighting.id)
     state.moment_runs += 1
     from pytest_pafot.world.driving.environment import checked_action  # noqa: PLC0415  (it needs highway-env)
@@ -235,9 +235,14 @@ def _decided_aside(
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
         with refusals(), runner_for(job, record, isolate=isolate) as runner:
-            if isolate:  # the other process records the decisions in a copy
-                drive = partial(GENERATORS.run, job.world.rollout)
-                aside = cast("Aside", runner.once(scenario, lambda *run: (drive(*run), aside)[1]))
+            if isolate:
+
+                def drive(scenario: Scenario, factory: Callable[..., Any]) -> Aside:
+                    # The other process records the decisions in its copy, which it must send.
+                    GENERATORS.run(job.world.rollout, scenario, factory)
+                    return aside
+
+                aside = runner.once_by(scenario, drive)
             else:
                 runner.once(scenario)
             return aside
@@ -245,7 +250,7 @@ def _decided_aside(
         return None
     finally:
         bench.decisions_beside += aside.asked  # the runner of the search does not count them
-        bench.asked += aside.asked
+        bench.budget.asked += aside.asked
         record.clear()
 
 

@@ -30,7 +30,7 @@ from pytest_pafot.searches.bench import Bench
 from pytest_pafot.searches.events import Phase, Refining
 from pytest_pafot.searches.harness import Harness
 from pytest_pafot.searches.results import State
-from pytest_pafot.searches.store import Store, lose
+from pytest_pafot.searches.store import Store, record_death
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.driving.policy import repeat_action
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -60,7 +60,7 @@ def showing(
     except ScenarioError:
         return None
     except ProcessLostError as error:
-        yield from lose(error, state, bench, store)
+        yield from record_death(bench.died(error), state, store)
         return None
     return run
 
@@ -103,15 +103,6 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     bench.runner.expect([each for each in fitting if each not in state.fatal], more=ahead.more)
 
 
-def check_limits(bench: Bench) -> None:
-    """Raise OutOfTime if no time is left, or OutOfBudget if no decision is left."""
-    if bench.clock() >= bench.refining_end:
-        raise OutOfTime
-    if bench.asked >= bench.refining_most:
-        bench.is_at_limit = True
-        raise OutOfBudget
-
-
 def failure_rate(
     sighting: Seen, scenario: Scenario, state: State, bench: Bench
 ) -> Refining[FailureRate]:
@@ -119,7 +110,7 @@ def failure_rate(
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0
     for number in range(1, RUNS + 1):
-        check_limits(bench)
+        bench.budget.check()
         state.shrink_runs += 1
         failing += bench.finish(
             bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))
@@ -159,8 +150,9 @@ class Turn:
         mean = self.seconds / max(self.attempts, 1)
         # An attempt takes about as many decisions as the simplest failing run. The work after shrinking takes some,
         # too.
-        is_at_limit = bench.asked + (1 + RUNS_TO_CONCLUDE) * self.to_confirm > self.most
-        bench.is_at_limit |= is_at_limit
+        budget = bench.budget
+        is_at_limit = budget.asked + (1 + RUNS_TO_CONCLUDE) * self.to_confirm > self.most
+        budget.is_at_limit |= is_at_limit
         self.is_over = self.is_over or is_at_limit or now + mean + self.to_conclude >= self.end
         if self.is_over:
             raise OutOfBudget

@@ -6,7 +6,8 @@ Each finding has already been saved and reported. Each step updates the file and
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import assert_never
 
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, ending
@@ -14,20 +15,19 @@ from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, described
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searches.bench import Bench
+from pytest_pafot.searches.bench import Bench, Differs, NoTime, Same
 from pytest_pafot.searches.events import Note, Phase, Refining
 from pytest_pafot.searches.harness import headline
 from pytest_pafot.searches.refine.moment import with_conditions, with_moment
 from pytest_pafot.searches.refine.simplest import (
     Simplest,
     Turn,
-    check_limits,
     failure_rate,
     shows,
     simplest_of,
 )
 from pytest_pafot.searches.results import State
-from pytest_pafot.searches.store import Store, lose
+from pytest_pafot.searches.store import Store, record_death
 from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
@@ -46,12 +46,14 @@ EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
 def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf) -> Refining[None]:
     """Shrink, confirm and examine the findings in the order of discovery, before the time ``until`` [s]."""
     __tracebackhide__ = True
-    bench.refining_end, before, searched = until, bench.decisions, state.counts.decisions
+    before = bench.decisions
+    budget = bench.budget
+    budget.end = until
+    budget.asked = 0
     # Unless the user sets a limit, this work can request as many decisions as the search did.
-    bench.asked = 0
-    bench.refining_most = (
-        math.inf if bench.harness.request.settings.shrink_runs else max(searched, LEAST_DECISIONS)
-    )
+    budget.most = math.inf
+    if not bench.harness.request.settings.shrink_runs:
+        budget.most = max(state.counts.decisions, LEAST_DECISIONS)
     with bench.runner:
         # Shrink and confirm each finding, and try a careful driver. Skip findings that cannot be shrunk: crashes, those
         # that depend on wall-clock time, and flaky ones that are not random.
@@ -62,7 +64,7 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
         # Examine the decisions that led to findings with repeatable runs.
         try:
             for sighting in list(store.findings.values()):
-                if sighting.is_firm and (sighting.id in refined or bench.is_at_limit):
+                if sighting.is_firm and (sighting.id in refined or budget.is_at_limit):
                     yield from _examined(sighting, state, bench, store)
         finally:
             state.moment_decisions = bench.decisions - before - state.shrink_decisions
@@ -71,32 +73,46 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
 def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
     # A turn has an equal part of the remaining time and decisions. What it does not use goes to the next findings.
     done = set[str]()
+    budget = bench.budget
+    was_at_limit = budget.is_at_limit
     waiting = [id_ for id_, each in store.findings.items() if each.is_firm or each.is_random]
     for sharing, id_ in zip(range(len(waiting), 0, -1), waiting, strict=True):
-        bench.is_at_limit, was_at_limit = False, bench.is_at_limit
-        now, is_done = bench.clock(), False
-        left, most = bench.refining_end - now, FOR_SHRINKING * bench.refining_most - bench.asked
+        # The flag says of each turn whether the limit ended it, and at the end whether it ended any turn.
+        budget.is_at_limit = False
+        now = bench.clock()
+        left = budget.end - now
+        most = FOR_SHRINKING * budget.most - budget.asked
+        is_done = False
         try:
             with runs_end_in(max(left, 0.0)):
-                turn = Turn(end=now + left / sharing, most=bench.asked + most / sharing)
+                turn = Turn(end=now + left / sharing, most=budget.asked + most / sharing)
                 is_done = yield from _simplified(store.findings[id_], state, bench, store, turn)
         except (OutOfTime, OutOfBudget):  # The finding stays as it is, or as far as it was shrunk.
             pass
         except ProcessLostError as error:
             store.call_flaky(store.findings[id_], f"the process that ran it again {error.end}")
-            yield from lose(error, state, bench, store)
+            yield from record_death(bench.died(error), state, store)
             is_done = True
         if is_done:
             done.add(id_)
         else:
-            sighting, why = (
-                store.findings[id_],
-                "the limit was reached" if bench.is_at_limit else "the time ran out",
-            )
-            cut = f"it was {'not' if sighting.finding.shrunk is None else 'only partly'} simplified, because {why}"
+            sighting = store.findings[id_]
+            how_far = "not" if sighting.finding.shrunk is None else "only partly"
+            why = "the limit was reached" if budget.is_at_limit else "the time ran out"
+            cut = f"it was {how_far} simplified, because {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
-        bench.is_at_limit |= was_at_limit
+        was_at_limit = was_at_limit or budget.is_at_limit
+    budget.is_at_limit = was_at_limit
     return done
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confirmed:
+    """The simplest scenario of a finding, whose second run did not differ, with its run and verdict."""
+
+    simplest: Simplest
+    run: Run
+    verdict: Verdict
 
 
 def _simplified(
@@ -108,8 +124,8 @@ def _simplified(
     # Measure how often the scenario fails if the policy draws random numbers. Another thread of this process may have
     # drawn them in one run, but probably not in two.
     is_new = sighting.is_random and sighting.finding.rate is None
-    if is_new and (sighting.is_flaky or bench.rerun(sighting.finding.scenario).trace.drew):
-        rate = yield from failure_rate(sighting, sighting.finding.scenario, state, bench)
+    if is_new and (sighting.is_flaky or bench.rerun(original).trace.drew):
+        rate = yield from failure_rate(sighting, original, state, bench)
         sighting = replace(sighting, finding=replace(sighting.finding, rate=rate))
         sighting = store.rewritten(sighting)
         yield from store.publish(sighting)
@@ -117,61 +133,72 @@ def _simplified(
         return True
     # Find the simplest scenario that fails in the same way, and run it again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
-    # so that a careful driver is tried
-    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most
-    if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
+    # Even if shrinking reached its limit, a careful driver is tried with the decisions that are left.
+    may_go_on = bench.budget.is_at_limit and bench.budget.asked < bench.budget.most
+    if simplest.is_cut and simplest.scenario == original and not may_go_on:
         return False
-    simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
-    if differs and simplest.scenario != original:
+    outcome = yield from _confirmed(sighting, simplest, state, bench)
+    if isinstance(outcome, Differs) and simplest.scenario != original:
         # The simplified scenario is not repeatable, so return to the original scenario, which may be flaky, too.
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
         simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
-        simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
-    if differs:
-        sighting = store.call_flaky(sighting, differs)
-        yield from store.publish(sighting)
-        if sighting.is_random:  # its first runs were the same by chance
-            return (yield from _simplified(sighting, state, bench, store, turn))
-    else:
-        # Replace the scenario in the file by the simplest one, and add what a careful driver would have done.
-        refined = yield from _with_takeover(sighting, simplest, run, verdict, bench)
-        if refined is not sighting:
-            yield from store.publish(store.rewritten(refined))
-    return bool(differs) or not simplest.is_cut
+        outcome = yield from _confirmed(sighting, simplest, state, bench)
+    match outcome:
+        case Differs(why=why):
+            sighting = store.call_flaky(sighting, why)
+            yield from store.publish(sighting)
+            if sighting.is_random:  # its first runs were the same by chance
+                return (yield from _simplified(sighting, state, bench, store, turn))
+            return True
+        case Confirmed():
+            # Replace the scenario in the file by the simplest one, and add what a careful driver would have done.
+            refined = yield from _with_takeover(sighting, outcome, bench)
+            if refined is not sighting:
+                yield from store.publish(store.rewritten(refined))
+            return not simplest.is_cut
+        case _:
+            assert_never(outcome)
 
 
 def _confirmed(
     sighting: Seen, simplest: Simplest, state: State, bench: Bench
-) -> Refining[tuple[Simplest, Run, Verdict, str]]:
-    # Run the simplest scenario again. Return it with its rate of failures, if they are random, then the run, its
-    # verdict, and its difference from the finding, which is empty if the finding is confirmed.
+) -> Refining[Confirmed | Differs]:
+    # Run the simplest scenario again, and measure how often it fails if its failures are random.
     __tracebackhide__ = True
-    scenario, rate = simplest.scenario, sighting.finding.rate
+    scenario = simplest.scenario
+    rate = sighting.finding.rate
+    is_original = scenario == sighting.finding.scenario
     run = bench.run(scenario)
     verdict = bench.finish(run)
     if not shows(sighting, run, verdict, state, bench):
-        otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
-        differs = (
-            "the reference failed when it ran again" if verdict.kind == "common" else otherwise
-        )
-    else:
-        is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
-        again = "" if is_confirmed else bench.confirm(scenario, run.trace)[-1]
-        if again is None:
-            raise OutOfTime
-        differs = again
-    if not differs and rate is not None and scenario != sighting.finding.scenario:
+        if verdict.kind == "common":
+            return Differs(why="the reference failed when it ran again")
+        return Differs(why=f"{ENDED_OTHERWISE}: {ending(run)}")
+    # The search has already confirmed the original scenario, unless it had no time for that.
+    if not is_original or sighting.unshrunk:
+        confirmation = bench.repeat(scenario, run.trace)
+        match confirmation:
+            case Same():
+                pass
+            case Differs():
+                return confirmation
+            case NoTime():
+                raise OutOfTime
+            case _:
+                assert_never(confirmation)
+    if rate is not None and not is_original:
         rate = yield from failure_rate(sighting, scenario, state, bench)
-    return replace(simplest, rate=rate), run, verdict, differs
+    return Confirmed(simplest=replace(simplest, rate=rate), run=run, verdict=verdict)
 
 
 def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refining[None]:
     # An error here must not end the search, because a user's simulator may only support scenarios of a search.
     __tracebackhide__ = True
+    budget = bench.budget
     for about, step in EXAMINATIONS.items():
         try:
-            check_limits(bench)
-            with runs_end_in(bench.refining_end - bench.clock()):
+            budget.check()
+            with runs_end_in(budget.end - bench.clock()):
                 sighting = yield from step(sighting, state, bench)
                 yield from store.publish(sighting)
         except OutOfBudget:  # the summary reports it
@@ -189,22 +216,23 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
             return
 
 
-def _with_takeover(
-    sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
-) -> Refining[Seen]:
+def _with_takeover(sighting: Seen, confirmed: Confirmed, bench: Bench) -> Refining[Seen]:
     # Add what a careful driver could have avoided by taking over in the confirmed scenario.
+    run = confirmed.run
+    verdict = confirmed.verdict
+    scenario = confirmed.simplest.scenario
+    shrunk = confirmed.simplest.shrunk
     if verdict.failure is None or verdict.exception is None:
         return sighting
-    harness, scenario, then = bench.harness, simplest.scenario, sighting.observed
-    before, shrunk = replace(sighting.finding, rate=simplest.rate), simplest.shrunk
+    before = replace(sighting.finding, rate=confirmed.simplest.rate)
     if scenario != before.scenario:
         shrunk = replace(shrunk, before=described(before.scenario, before.longest_run))
     yield Phase(f"replaying saved-{sighting.id} with a careful driver", sighting.id)
     takeover = None
     try:
-        takeover = (
-            run.takeover if verdict.failure.check is None and verdict.severity is not None else None
-        )
+        # The driver avoids collisions, so it is not tried for failed checks or for failures that nothing measures.
+        if verdict.failure.check is None and verdict.severity is not None:
+            takeover = run.takeover
     except DriverError as error:  # the world cannot simulate the driver
         yield Note(f"{error}. Findings do not state what this driver would have done")
     # The file now describes the simplest scenario. Only its id and its origin are those of the first run.
@@ -216,7 +244,7 @@ def _with_takeover(
             verdict.failure,
             takeover=takeover,
             against=before.expect.against,
-            root=str(harness.root),
+            root=str(bench.harness.root),
         ),
         shrunk=shrunk if shrunk.rollouts else None,
     )
@@ -227,6 +255,6 @@ def _with_takeover(
         sighting,
         finding=finding,
         headline=finding.with_sight(headline(run, verdict)),
-        observed=replace(then, run=run, verdict=verdict, severity=verdict.severity),
+        observed=replace(sighting.observed, run=run, verdict=verdict, severity=verdict.severity),
         unshrunk="",
     )
