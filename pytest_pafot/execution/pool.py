@@ -503,7 +503,9 @@ class _Worker(Generic[TaskT]):
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
         # A process with `leave` needs time before its end. One that another thread started would end with the thread.
         is_bound = leave is None and threading.current_thread() is threading.main_thread()
-        patience = None if is_bound else farewell if leave else 0.0
+        patience: float | None = None
+        if not is_bound:
+            patience = farewell if leave else 0.0
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
         # The process is a daemon, so that a cluster's worker that ends kills the process instead of waiting for it.
         self.process = context.Process(

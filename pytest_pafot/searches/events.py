@@ -70,13 +70,11 @@ class Ending(StrEnum):
 
     @property
     def after_ended(self) -> str:
-        return (
-            "early"
-            if self is Ending.UNKNOWN
-            else "with an error"
-            if self is Ending.ERROR
-            else str(self)
-        )
+        if self is Ending.UNKNOWN:
+            return "early"
+        if self is Ending.ERROR:
+            return "with an error"
+        return str(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -59,12 +59,15 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     # The failing line in this file identifies a failure.
-    test_file = source_file(test) if test_file is None else test_file
-    if (broken := ads_failure(run)) is not None:
+    if test_file is None:
+        test_file = source_file(test)
+    broken = ads_failure(run)
+    if broken is not None:
         is_timed = run.outcome is Outcome.HANG
-        exception = PlainFailure(
-            ads_text(broken, " (depends on wall-clock time)" if is_timed else "")
-        )
+        timing = ""
+        if is_timed:
+            timing = " (depends on wall-clock time)"
+        exception = PlainFailure(ads_text(broken, timing))
         return Verdict(
             kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True
         )
@@ -115,28 +118,30 @@ def ads_text(failure: Failure, timing: str = "") -> str:
     """Return a message about a failure of the ADS or the environment, with its traceback."""
     who = "environment" if failure.kind == WORLD_HANG else "ADS"
     text = f"the {who} failed: {failure.kind}: {failure.message}{timing}"
-    return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
+    if failure.traceback:
+        text += f"\n\n{failure.traceback.rstrip()}"
+    return text
 
 
 def headline(run: Run, verdict: Verdict) -> str:
     """Return one line about a finding's event, with the test function's message if that adds anything."""
-    if verdict.is_ads and verdict.failure is not None:
-        return f"{verdict.failure.kind}: {verdict.failure.message}"
-    if verdict.failure is not None and verdict.failure.check is not None:
-        return str(verdict.failure.check)
+    failure = verdict.failure
     line = collision_in_short(run) or run.explain().splitlines()[0]
-    first = (
-        verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
-    )
+    if failure is None:
+        return line
+    if verdict.is_ads:
+        return f"{failure.kind}: {failure.message}"
+    if failure.check is not None:
+        return str(failure.check)
+    first = failure.message.partition("\n")[0].strip()
     is_bare = run.collision is not None and first.startswith("assert ")
+    # The message adds nothing if it starts as the line does.
     if is_bare or not first or re.split(r":|, | at ", line)[0] in first:
         return line
-    kind = (
-        ""
-        if isinstance(verdict.exception, AssertionError)
-        else f"{type(verdict.exception).__name__}: "
-    )
-    return f"{kind}{first[:120]} ({line})"
+    described = f"{first[:120]} ({line})"
+    if isinstance(verdict.exception, AssertionError):
+        return described
+    return f"{type(verdict.exception).__name__}: {described}"
 
 
 def collision_in_short(run: Run) -> str:
@@ -147,20 +152,26 @@ def collision_in_short(run: Run) -> str:
 def skips() -> tuple[type[BaseException], ...]:
     """Return the exception classes that pytest reports as a skip or an xfail."""
     # The package does not import pytest here. Code that raises one of these exceptions has already imported its module.
-    pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
-    of_pytest = () if pytest is None else (pytest.skip.Exception, *xfails())
-    return of_pytest if unittest is None else (*of_pytest, unittest.SkipTest)
+    found: list[type[BaseException]] = []
+    if "pytest" in sys.modules:
+        found += [sys.modules["pytest"].skip.Exception, *xfails()]
+    if "unittest" in sys.modules:
+        found.append(sys.modules["unittest"].SkipTest)
+    return tuple(found)
 
 
 def xfails() -> tuple[type[BaseException], ...]:
     """Return the exception class of ``pytest.xfail()``, or an empty tuple without pytest."""
-    return (sys.modules["pytest"].xfail.Exception,) if "pytest" in sys.modules else ()
+    if "pytest" not in sys.modules:
+        return ()
+    return (sys.modules["pytest"].xfail.Exception,)
 
 
 def assertions() -> tuple[type[BaseException], ...]:
     """Return the exception classes that a violated property raises."""
-    pytest = sys.modules.get("pytest")
-    return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
+    if "pytest" not in sys.modules:
+        return (AssertionError,)
+    return (AssertionError, sys.modules["pytest"].fail.Exception)
 
 
 def no_skip(who: str, error: BaseException) -> str:
@@ -191,34 +202,36 @@ class SetupFaultError(Exception):
     @property
     def received(self) -> str:
         failure = self.verdict.failure
-        return "" if failure is None else f"{failure.kind}: {failure.message}"
+        if failure is None:
+            return ""
+        return f"{failure.kind}: {failure.message}"
 
-    def first_decision(self, world: BaseWorld, policy: Policy, *, of_si: str, of_env: str) -> str:
-        asked = None if policy.drives_itself else world.first_decision(self.run.trace.scenario)
+    def first_decision(self, world: BaseWorld, policy: Policy) -> str:
+        """Return a hint about the decision that the world expects, or an empty string."""
+        if policy.drives_itself:
+            return ""
+        asked = world.first_decision(self.run.trace.scenario)
+        if asked is None:
+            return ""
+        advice = asked.advice
         # If the world has no advice, it depends on whether the decision is in SI units or the environment's.
-        return (
-            ""
-            if asked is None
-            else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
-        )
+        if not advice and asked.is_si:
+            advice = 'A policy for a highway-env environment needs world=pafot.World("highway-v0", config=...).'
+        elif not advice:
+            advice = (
+                "A policy needs the config= and the wrappers= with which it was trained. A planner in SI units "
+                "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5)."
+            )
+        return f"\n\n{asked.text} {advice}"
 
     def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
         """Return the exception to raise, with an explanation and advice."""
         verdict = self.verdict
-        nothing = (
-            "so nothing was saved"
-            if not self.is_replay
-            else "so it shows nothing about any saved scenario"
-        )
-        again = "replay" if self.is_replay else "search"
+        nothing, again = "so nothing was saved", "search"
+        if self.is_replay:
+            nothing, again = "so it shows nothing about any saved scenario", "replay"
         if verdict.is_ads or verdict.exception is None:
-            asked = self.first_decision(
-                world,
-                policy,
-                of_si='A policy for a highway-env environment needs world=pafot.World("highway-v0", config=...).',
-                of_env="A policy needs the config= and the wrappers= with which it was trained. A planner in SI units "
-                "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
-            )
+            asked = self.first_decision(world, policy)
             return PlainFailure(
                 f"{verdict.exception}\n\n"
                 f"This happened in {self.runs}, at the first decision. It is an error in the set-up and not a finding, "
@@ -246,9 +259,8 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     # After the first decision, or if the ADS hangs, the cause can be the scenario or the machine.
     if error is None or error.tick > 0 or error.interrupted:
         return None
-    return error.kind, next(
-        (line for line in reversed(error.traceback.splitlines()) if "File " in line), ""
-    )
+    places = [line for line in error.traceback.splitlines() if "File " in line]
+    return error.kind, places[-1] if places else ""
 
 
 def unit_doubt(trace: Trace) -> str:
@@ -258,13 +270,15 @@ def unit_doubt(trace: Trace) -> str:
     for action in trace.actions:
         if type(action) is tuple and len(action) == 2:
             wanted, angle = action
-            steering = abs(angle) if not -steering <= angle <= steering else steering
+            if not -steering <= angle <= steering:
+                steering = abs(angle)
         elif isinstance(action, LaneCommand):
             wanted = action.acceleration or 0.0
             speed = max(speed, action.speed or 0.0)
         else:
             continue
-        acceleration = wanted if wanted > acceleration else acceleration
+        if wanted > acceleration:  # noqa: PLR1730  (a call for each decision is slower)
+            acceleration = wanted
     if steering > NO_STEERING:
         return (
             f"the ADS requested a steering angle of {steering:.3g} rad, but only "
@@ -308,22 +322,26 @@ def reference_of(
     if given is None:
         return None
     found: Any = given
+    name = ""
     if isinstance(given, str):
+        name = given
+        find = factory_named if ":" in given else fixture
         try:
-            found = factory_named(given) if ":" in given else fixture(given)
+            found = find(given)
         except ValueError as error:
             raise AgainstError(f"against: {error}") from error
     if not callable(found):
-        raise AgainstError(
-            "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
-            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(
-                ". "
-            )
+        problem = (
+            "expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a fixture "
+            f"that returns a factory, received {found!r:.100}"
         )
-    reference = Reference(
-        policy=Policy(found), name=given if isinstance(given, str) else name_of(found)
-    )
-    if same := same_policy(tested.factory, found):
+        hint = hint_at_object(found)
+        if hint:
+            problem += f". {hint}"
+        raise AgainstError(f"against: {problem}")
+    reference = Reference(policy=Policy(found), name=name or name_of(found))
+    same = same_policy(tested.factory, found)
+    if same:
         raise AgainstError(f"against ({reference.shown}): {same}")
     return reference
 

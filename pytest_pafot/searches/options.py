@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
@@ -88,11 +89,9 @@ class Option(NamedTuple):
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            hint = (
-                ". For your own class, write module:Class, or pass the class in Python"
-                if self.or_class
-                else ""
-            )
+            hint = ""
+            if self.or_class:
+                hint = ". For your own class, write module:Class, or pass the class in Python"
             from pytest_pafot.support.text import suggest  # noqa: PLC0415  (for few sessions)
 
             hint = suggest(value, self.choices) or hint
@@ -295,20 +294,15 @@ def _read_integer(option: Option, value: object) -> int:
         number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
-    if (
-        isinstance(number, bool)
-        or not isinstance(number, int)
-        or not option.least <= number <= option.most
-    ):
-        limit = (
-            f" and at most {option.most}"
-            if isinstance(number, int) and number > option.most
-            else ""
-        )
-        raise RequestError(
-            f"expected a whole number, at least {option.least:g}{limit}, received {value!r}"
-        )
-    return number
+    if isinstance(number, int) and not isinstance(number, bool):
+        if option.least <= number <= option.most:
+            return number
+        limit = f" and at most {option.most}" if number > option.most else ""
+    else:
+        limit = ""
+    raise RequestError(
+        f"expected a whole number, at least {option.least:g}{limit}, received {value!r}"
+    )
 
 
 def _read_workers(option: Option, value: object) -> int:
@@ -323,14 +317,10 @@ def _read_workers(option: Option, value: object) -> int:
 
 
 def _read_seconds(option: Option, value: object) -> float:
-    try:
-        seconds = (
-            float(value)
-            if isinstance(value, (str, int, float)) and not isinstance(value, bool)
-            else -1.0
-        )
-    except ValueError:
-        seconds = -1.0
+    seconds = -1.0
+    if isinstance(value, (str, int, float)) and not isinstance(value, bool):
+        with suppress(ValueError):
+            seconds = float(value)
     if not option.least <= seconds < float("inf"):
         raise RequestError(
             f"expected a number of seconds, at least {option.least:g}, received {value!r}"

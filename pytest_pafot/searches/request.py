@@ -110,11 +110,11 @@ class Request:
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
-        return (
-            flag(name, value)
-            if self.place.startswith("@")
-            else f"{name}={'...' if value is None else repr(value)}"
-        )
+        if self.place.startswith("@"):
+            return flag(name, value)
+        if value is None:
+            return f"{name}=..."
+        return f"{name}={value!r}"
 
     def error(self, arguments: str, problem: object) -> RequestError:
         return RequestError(f"{self.place}({arguments}): {problem}")
@@ -250,11 +250,9 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
                 "cannot follow tight curves",
             )
         # The paper's algorithms use the paper's space. The others have their own defaults.
-        drawn = (
-            {}
-            if request.algorithm.is_papers
-            else drawn_space(world, {"instructions": kinds[-1], **request.space})
-        )
+        drawn: dict[str, Any] = {}
+        if not request.algorithm.is_papers:
+            drawn = drawn_space(world, {"instructions": kinds[-1], **request.space})
         if request.algorithm.draws_vehicles:
             drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         # The user's arguments override the defaults. The world adds the rest, such as crossings and the length of the
@@ -370,11 +368,9 @@ def named_world(
             or error.__traceback__ is None
             or error.__traceback__.tb_next
         )
-        fix = (
-            "Correct it"
-            if begun
-            else "Add its argument to the string, as in module:factory:argument"
-        )
+        fix = "Correct it"
+        if not begun:
+            fix = "Add its argument to the string, as in module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
         raise RequestError(
             f"{place}: expected a factory that returns a world, received {received}. {fix}"

@@ -121,12 +121,8 @@ class Examiner:
         __tracebackhide__ = True
         run = self.harness.run_of(trace)
         verdict = self.harness.judge(run)
-        failed, signature = None, self.signature_of(run, verdict)
-        fails: Fails = ""
-        if verdict.kind in FAILING:
-            # If the ADS raised an exception or hung, that is the failure, even if a collision followed.
-            fails = "check" if verdict.is_check else "otherwise"
-            fails = fails if verdict.is_ads or run.responsibility not in ("ego", "both") else "ego"
+        signature = self.signature_of(run, verdict)
+        failed = None
         if signature is not None and signature not in known and verdict.failure is not None:
             failed = self._failed(run, verdict.failure, signature, verdict)
         evaluation = Evaluation.from_trace(
@@ -138,19 +134,20 @@ class Examiner:
             margins=verdict.margins,
             note=None if self.note is None else self.note(run, verdict),
         )
+        caught = set[str]()
+        if verdict.kind == "passed":
+            caught = {each.name for each in verdict.checks if not each.holds}
         return Result(
             evaluation=evaluation,
             kind=verdict.kind,
             ended=str(run.outcome),
             responsible=run.responsibility,
-            fails=fails,
+            fails=_how_it_fails(run, verdict),
             decisions=len(trace.actions),
             severity=verdict.severity,
             failed=failed,
             cause=cause_of(run, verdict),
-            caught=tuple({each.name for each in verdict.checks if not each.holds})
-            if verdict.kind == "passed"
-            else (),
+            caught=tuple(caught),
             doubt=unit_doubt(trace),
         )
 
@@ -187,6 +184,15 @@ class Examiner:
             trace=None if verdict.is_timed else run.trace,
             drew=run.trace.drew,
         )
+
+
+def _how_it_fails(run: Run, verdict: Verdict) -> Fails:
+    if verdict.kind not in FAILING:
+        return ""
+    # If the ADS raised an exception or hung, that is the failure, even if a collision followed.
+    if run.responsibility in ("ego", "both") and not verdict.is_ads:
+        return "ego"
+    return "check" if verdict.is_check else "otherwise"
 
 
 def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
@@ -469,8 +475,10 @@ class State:
 
     def alike(self, find_id: str) -> Alike:
         """Return the counts for the other runs with a new finding's failure."""
-        signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
-        kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
+        kept = Alike()
+        for signature, id_ in self.finds.items():
+            if id_ == find_id:
+                kept = self.counts.failures.get(signature, kept)
         # -1 if only a run to shrink another finding failed in this way
         return replace(kept, runs=kept.runs - 1)
 
@@ -492,7 +500,9 @@ class State:
         ):
             return ""
         names = " and ".join(f"saved-{id_}" for id_ in sorted(covered))
-        which = "only the known check" if len(covered) == 1 else "only the known checks"
+        which = "only the known check"
+        if len(covered) > 1:
+            which += "s"
         return f"{which} {names} failed, in {plural(covered.total(), 'run')}"
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:

@@ -212,13 +212,15 @@ def prepared(
     # Forked processes evaluate their own runs. A fitness function of the user is called only in this process, where its
     # errors are reported.
     why_here = _why_judged_here(harness)
-    driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
-    remark = (
-        f". This process evaluated all runs, because {why_here}"
-        if why_here
-        else ", which also evaluated them"
-    )
-    job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
+    driver: Driver | None = None
+    if why_here:
+        job = replace(job, remark=f". This process evaluated all runs, because {why_here}")
+    else:
+        job = replace(job, read=examiner, remark=", which also evaluated them")
+        # With a reference, only this process knows whether a failure counts.
+        if harness.against is None:
+            driver = Driver(examiner=examiner)
+            job = replace(job, drive=driver)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():

@@ -105,10 +105,10 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     """Return a finding with the conditions that the policy's code evaluates in the decision of its ``moment``."""
     harness, moment, run = bench.harness, sighting.moment, sighting.run
-    conditions = (
-        None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
-    )
-    if moment is None or run is None or not conditions:
+    if moment is None or run is None:
+        return sighting
+    conditions = Conditions(source_files(harness.policy.factory), harness.root)
+    if not conditions:
         return sighting
     trace = run.trace
     times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
@@ -128,13 +128,12 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     if isinstance(seen, Observation):
         # a condition is about the vehicles whose slightly different positions change its values
         whom = {}
-        for other in (
-            sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ()
-        ):
+        vehicles = sorted([*seen.ids, *(each.id for each in seen.crossing)])
+        for other in vehicles if aside.conditions else ():
             nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
-            for each in (
-                () if nudged is None else differing_numbers(aside.conditions, nudged.conditions)
-            ):
+            if nudged is None:
+                continue
+            for each in differing_numbers(aside.conditions, nudged.conditions):
                 whom[each] = (*whom.get(each, ()), other)
         if npc is not None and npc in seen.ids:
             words, by = _compared(moment, _changes(seen, npc))
@@ -167,12 +166,11 @@ def _nudged(seen: Observation, npc: int) -> Observation:
     if npc in seen.ids:
         return changed(seen, npc, (NUDGE, NUDGE, NUDGE))
     places = ("distance", "ego_distance", "ahead", "right", "speed")
-    crossing = [
-        each._replace(**{name: getattr(each, name) + NUDGE for name in places})
-        if each.id == npc
-        else each
-        for each in seen.crossing
-    ]
+    crossing = list(seen.crossing)
+    for index, each in enumerate(crossing):
+        if each.id == npc:
+            nudged = {name: getattr(each, name) + NUDGE for name in places}
+            crossing[index] = each._replace(**nudged)
     return seen.replace(crossing=tuple(crossing))
 
 
@@ -194,15 +192,18 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
         harness.reference_runner(harness.job(), bench.record, isolate=isolate)
         or nullcontext() as runner
     ):
-        run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
+        assert runner is not None  # noqa: S101  (the caller has a reference)
+        run, _ = harness.run_reference(runner, trace.scenario)
     bench.record.clear()
-    for number, actions in enumerate(
-        zip(trace.actions, () if run is None else run.trace.actions, strict=False)
-    ):
-        if differ(*actions):
+    if run is None:
+        return None
+    decisions = zip(trace.actions, run.trace.actions, strict=False)
+    for number, (own, other) in enumerate(decisions):
+        if differ(own, other):
             time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
-            own, other = text_of(*actions), text_of(*actions[::-1])
-            return Moment(time=time, npc=None, action=own, reference=other)
+            return Moment(
+                time=time, npc=None, action=text_of(own, other), reference=text_of(other, own)
+            )
     return None
 
 
@@ -222,17 +223,16 @@ def _decided_aside(
 
     harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
-    check = (
-        partial(checked_si_action, lanes=MANY)
-        if space is None
-        else partial(checked_action, space=space)
-    )
-    question = (
-        question if harness.world.hides or question is None else replace(question, is_noted=False)
-    )
+    check: Any = partial(checked_action, space=space)
+    if space is None:
+        check = partial(checked_si_action, lanes=MANY)
+    if question is not None and not harness.world.hides:
+        question = replace(question, is_noted=False)
     aside = Aside()
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
-    job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
+    if npc is not None:
+        factory = without(factory, npc)
+    job = replace(harness.job(), policy=Policy(factory))
     try:
         with refusals(), runner_for(job, record, isolate=isolate) as runner:
             if isolate:
@@ -334,6 +334,7 @@ def _changes(seen: Observation, npc: int) -> list[Change]:
     # The changes of a vehicle in words and as offsets, starting with the smallest. None hides the vehicle.
     other = seen.others[seen.ids.index(npc)]
     gap = other.x - seen.ego.x
+    # each with its size, by which they are sorted
     found: list[tuple[float, str, Additions | None]] = [(0.0, "", None)]
     away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
     for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):

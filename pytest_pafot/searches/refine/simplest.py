@@ -112,9 +112,10 @@ def failure_rate(
     for number in range(1, RUNS + 1):
         bench.budget.check()
         state.shrink_runs += 1
-        failing += bench.finish(
-            bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))
-        ).failed
+        repeated = scenario
+        if not sighting.is_flaky:
+            repeated = with_other_seed(scenario, number)
+        failing += bench.finish(bench.run(repeated)).failed
     return FailureRate(failing=failing)
 
 
@@ -187,11 +188,9 @@ def simplest_of(
     rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
     repeats = _repeats_collision(sighting, harness)
     # The ego's actions in failing scenarios.
-    actions = (
-        {}
-        if sighting.run is None
-        else {without_unreached_genes(sighting.run): sighting.run.trace.actions}
-    )
+    actions: dict[Scenario, tuple[Any, ...]] = {}
+    if sighting.run is not None:
+        actions[without_unreached_genes(sighting.run)] = sighting.run.trace.actions
     turn.to_confirm = max(map(len, actions.values()), default=0)
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
@@ -259,13 +258,11 @@ def simplest_of(
 
 def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
     # Return the run of a finding if its recorded decisions repeat the collision without the ADS.
-    trace = None if sighting.run is None else sighting.run.trace
-    is_sure = not sighting.is_flaky and sighting.finding.rate is None
-    return (
-        trace
-        if is_sure and trace is not None and trace.collision is not None and trace.actions
-        else None
-    )
+    if sighting.run is None or sighting.is_flaky or sighting.finding.rate is not None:
+        return None
+    trace = sighting.run.trace
+    has_collision = trace.collision is not None and trace.actions
+    return trace if has_collision else None
 
 
 def _likely(
