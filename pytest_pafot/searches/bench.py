@@ -128,6 +128,7 @@ class Bench:
     ) -> Iterator[Result]:
         """Yield the result of each scenario. The death of its process is a result, too."""
         __tracebackhide__ = True
+        # The runner may already have sent several of the scenarios to other processes.
         runs = self.runner.results(scenarios, skips)
         while True:
             with self._recorded():
@@ -171,6 +172,7 @@ class Bench:
         __tracebackhide__ = True
         if self.reference is None:
             return False
+        # If the reference dies, too, the scenario is too hard for both policies.
         verdict = self.harness.judge_reference(self.reference, scenario)
         self.record.clear()
         return not verdict.passes
@@ -186,6 +188,7 @@ class Bench:
         __tracebackhide__ = True
         with self._recorded(), refusals():
             trace = self.runner.once(scenario, most=most)
+        # Another process may have run on after the limit, which must not count.
         self.budget.asked += min(len(trace.actions), most or sys.maxsize)
         return self.harness.run_of(trace)
 
@@ -195,6 +198,8 @@ class Bench:
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:  # run the reference, too
+                # The caller can give the scenario without the instructions that the run did not
+                # reach. It is the one that will be saved, so the reference must pass it.
                 driven = scenario or run.scenario
                 beside = self.harness.judge_reference(self.reference, driven)
                 verdict = verdict.beside(beside)
@@ -219,6 +224,7 @@ class Bench:
             with self._recorded():
                 verdict = self.harness.judge(again)
             self.record.clear()
+            # A verdict can be the same in a different run, so both are compared.
             shown: tuple[Repeated, ...] = ()
             if self.examiner.signature_of(again, verdict) == failed.signature:
                 shown = (Repeated(again, verdict),)
@@ -254,6 +260,8 @@ class Bench:
         try:
             with runs_end_in(self.budget.end - began):
                 again = self.run(scenario)
+                # Very short runs consist mostly of set-up, so their pace says nothing about longer
+                # ones.
                 seconds_of_run = max(again.duration, seconds_of_run)
                 confirmation = compare(again)
         except ProcessLostError as error:
@@ -262,6 +270,7 @@ class Bench:
             confirmation = NoTime()
         seconds = self.clock() - began
         self.confirm_seconds += seconds
+        # The summary counts these decisions separately, and shrinking has its own limit.
         self.confirm_decisions += self.runner.decisions - before
         self.pace = max(self.pace, seconds / seconds_of_run)
         return confirmation

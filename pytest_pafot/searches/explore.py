@@ -118,12 +118,14 @@ def explore(
             tested nothing.
         Exception: if every run of the first generation ends in the same exception, unless it is an assertion.
     """
+    # With `python -O`, the property would assert nothing, and every search would pass.
     check_asserts(holds)
     budget = {
         "runs": RUNS if runs is None and generations is None else runs,
         "generations": generations,
     }
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
+    # The node id is part of the seed, so two properties of one script search different scenarios.
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
     table = RunTable()
@@ -138,6 +140,8 @@ def explore(
                 watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays
             )
             happens = Events(session.run())
+            # An exception of the listener leaves the inner loop. The search then still reports what it
+            # has found.
             while not happens.is_over:
                 with happens:
                     for event in happens:
@@ -146,11 +150,14 @@ def explore(
                         if on_event is not None:
                             on_event(event)
     result = happens.result
+    # Only now, so that the temporary folder is removed and all processes have ended.
     if result.fault is not None:
         raise result.fault
+    # A search that tested nothing must not look like one that found nothing.
     if result.is_vacuous and not result.count and request.settings.is_search:
         told = " Also, ".join(result.summary.warnings)
         raise RequestError(f"{PLACE}: expected runs that test the policy, but {told}")
+    # The trace is kept only in memory, so a script can look at the run without repeating it.
     findings = tuple(
         replace(each.finding, trace=None if each.run is None else each.run.trace)
         for each in result.findings
@@ -210,6 +217,7 @@ class AlgorithmRun:
 
     def __post_init__(self) -> None:
         self._made()
+        # Raises a ValueError for an unknown name. The search itself would report it as a RequestError.
         if self.fitness is not None:
             resolve(self.fitness)
 
@@ -222,9 +230,12 @@ class AlgorithmRun:
         Raises:
             SetupFaultError: if the ADS always fails in the same way at its first decision.
         """
+        # The class and not the name, because a comparison can contain algorithms of the user.
         given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
         request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
         table, seconds = RunTable(seed=self.seed), 0.0
+        # Otherwise, the same number of generations would be more scenarios for one algorithm than for
+        # another.
         runs = POPULATION * self.generations if self.algorithm.draws_by_number else None
 
         def see(event: Any) -> None:
@@ -254,6 +265,7 @@ class AlgorithmRun:
                     seed=self.seed,
                     stop=lambda: seconds >= self.seconds,
                 )
+                # The loop can be left by an exception, and processes must end all the same.
                 with closing(events):
                     for event in events:
                         see(event)
@@ -299,6 +311,7 @@ def request_of(given: dict[str, Any]) -> Request:
     )
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
     values |= {"corpus": "", "save": "new" if given.get("corpus") else "none"}
+    # In a fixed order, so that of several mistakes always the same one is reported.
     for name in sorted(given.keys() & values.keys()):
         try:
             values[name] = None if given[name] is None else BY_NAME[name].read(given[name])

@@ -97,6 +97,7 @@ class Result:
         # The failure counts only if the reference passes. If its run is invalid, the comparison is invalid, too.
         failure = reference.failure if reference.is_ads else None
         broken = "" if failure is None else f"{failure.kind}: {failure.message}"
+        # Only then does the failure count as one of the new policy.
         if reference.passes:
             return replace(self, broken=broken)
         evaluation = replace(self.evaluation, failing=False, kind=None)
@@ -123,6 +124,7 @@ class Examiner:
         verdict = self.harness.judge(run)
         signature = self.signature_of(run, verdict)
         failed = None
+        # The file's content contains a trace and takes milliseconds, so it is made only for new failures.
         if signature is not None and signature not in known and verdict.failure is not None:
             failed = self._failed(run, verdict.failure, signature, verdict)
         evaluation = Evaluation.from_trace(
@@ -159,6 +161,7 @@ class Examiner:
 
     def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
         """Return the signature of a failure, or a different signature if it is worse than the accepted failure."""
+        # Without this, an accepted scrape would hide every later crash of the same kind.
         most, id_ = self.accepted.get(signature, (math.inf, ""))
         return replace(signature, worse_than=id_) if is_faster(severity, most) else signature
 
@@ -197,6 +200,7 @@ def _how_it_fails(run: Run, verdict: Verdict) -> Fails:
 
 def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
     """Return the origin of a finding: seed, generation, algorithm, policy and versions."""
+    # Failures that no algorithm found, such as dead processes of earlier sessions, have a name of their own.
     algorithm = algorithm or harness.request.algorithm.name
     policy = policy_name(harness.policy.factory)
     return Found(
@@ -252,6 +256,7 @@ def cause_of_death(death: LostRun, way_out: str) -> str:
 def result_of_death(death: LostRun, harness: Harness, seed: int) -> Result:
     """Return the result for a scenario in which a process of this search died or hung."""
     expect = expectation(death)
+    # A hang is not repeated, because it has already taken the whole time limit of a decision.
     again = "" if death.is_hang else ", even when it was repeated"
     why = cause_of_death(death, f"delete the file, and use {flag('workers', 1)}")
     failed = Failed(
@@ -328,6 +333,7 @@ class Counts:
         counts.kinds[result.kind] = 1
         counts.outcomes[result.ended] = 1
         counts.responsibilities[result.responsible or "none"] = 1
+        # The failure rate is a fraction of the runs that could have failed.
         if not evaluation.discarded and result.kind != "invalid":
             counts.fails[result.fails] = 1
         if isinstance(evaluation.kind, Signature):
@@ -342,6 +348,7 @@ class Counts:
         return counts
 
     def __iadd__(self, other: Counts) -> Self:
+        # Counters are added by name, so that a new one cannot be forgotten.
         for name in _COUNTERS:
             getattr(self, name).update(getattr(other, name))
         for signature, more in other.failures.items():
@@ -349,6 +356,7 @@ class Counts:
         self.decisions += other.decisions
         self.health += other.health
         self.doubt = self.doubt or other.doubt
+        # None means that the reference did not run. It has failed in all its runs only if no part is empty.
         if None in (self.broken, other.broken):
             self.broken = other.broken if self.broken is None else self.broken
         else:
@@ -376,6 +384,8 @@ class Driver:
     ) -> None:
         """Sample and simulate the scenarios of a chunk, and pass the results to ``say``."""
         assert self.drawn is not None  # noqa: S101  (it is set before the first chunk)
+        # The process learns new failures within the chunk, but not those of other chunks, so a failure can be
+        # reported twice.
         known = set(chunk.known)
         examine = partial(self.examiner, known=known)
         counted = Timed(Counts(), CapturedOutput(), 0.0)
@@ -509,6 +519,7 @@ class State:
         counts = self.counts
         warnings = counts.health.warnings()
         excused = counts.kinds["npc"]
+        # Otherwise, such a search would be green although the test never ran.
         if excused and not counts.kinds["passed"] and not counts.kinds["failed"]:
             warnings.append(
                 f'the test function was never called, because blame="{harness.request.blame}" excludes all '

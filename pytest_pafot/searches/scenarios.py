@@ -110,6 +110,7 @@ class Bred(Plan):
             RequestError: as for :meth:`.Bench.run`.
         """
         __tracebackhide__ = True
+        # The algorithm requested no scenario, so it is told so, and asked again.
         if self.is_whole:
             return NoScenario(self.learn())
         recalled = self.recalled()
@@ -120,6 +121,7 @@ class Bred(Plan):
         for result in self._results:
             return result
 
+        # A scenario can become known while it waits, because the run of another one shows its result.
         def skips(scenario: Scenario) -> bool:
             return scenario in state.fatal or self._cache.recall(scenario) is not None
 
@@ -167,6 +169,7 @@ class Numbers:
 
     def __post_init__(self) -> None:
         if self.bench.driver is not None:
+            # Before the first process is forked. A process that is already running would not receive it.
             self.bench.driver.drawn = partial(self.algorithm.drawn, self.seed)
             if isinstance(self.bench.runner, Apart):
                 # processes that are already running cannot sample scenarios
@@ -270,13 +273,16 @@ class Numbers:
         runner, workers = self.bench.runner, self.bench.harness.request.settings.workers
         if self.bench.driver is None or not isinstance(runner, Apart) or not runner.run_seconds:
             return
+        # Until the first runs are measured, the size of a chunk is unknown.
         run_seconds, left = runner.run_seconds, self._end - self._given
         if not self._driven and left * run_seconds < WORTH_SECONDS and not runner.in_use:
             return
+        # The processes return only the signature of a known failure, which is a small message.
         known = frozenset(state.known)
         while left > 0 and len(self._driven) < CHUNKS_AHEAD * workers:
             size = chunk_size(run_seconds, left, workers)
             chunk = Chunk(self._given, self._given + size, known, frozenset(state.fatal))
+            # No process works, so the session runs the numbers itself.
             if not runner.drive(chunk):
                 return
             self._driven[chunk] = _Driven(deque(), chunk.first)
@@ -308,6 +314,7 @@ class Numbers:
                     self._suspects.append(death)
                 case other:
                     assert_never(other)
+            # The next chunk is in turn only if all numbers of this one were counted.
             del self._driven[chunk]
             self._alone = chunk.end
             if self.number < chunk.end:
@@ -321,6 +328,8 @@ class Numbers:
             if not heard:
                 return
             for chunk, said in heard:
+                # A chunk of an earlier search, or one whose process was lost, may still have messages
+                # on the way.
                 driven = self._driven.get(chunk)
                 if driven is None:
                     continue

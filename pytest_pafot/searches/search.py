@@ -44,6 +44,7 @@ class Watch:
     stop: Callable[[], bool] = lambda: False  # returns True to end the search
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
+        # The caller's own limit comes first, because it may be exact to the run.
         if self.stop():
             return "stopped"
         return "runs" if scenarios.has_all_runs else None
@@ -80,6 +81,7 @@ class TimedWatch(Watch):
     _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
+        # The first report comes after an interval, so short searches print none.
         self._reported_at = self.state.clock()
 
     def begin(self, earliest_end: float) -> None:
@@ -88,6 +90,7 @@ class TimedWatch(Watch):
         self._runs_before = self.state.runs
 
     def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
+        # Findings that are held back do not count yet, because they may turn out to be a fault of the set-up.
         if self.most is not None and self.store.count >= self.most:
             return "stopped"
         if scenarios.has_all_runs:
@@ -107,6 +110,7 @@ class TimedWatch(Watch):
         if self.limit == math.inf:
             return self.earliest_end
         harness = self.bench.harness
+        # Each finding that can be shrunk needs its share of the time that is left.
         runs = self.store.firm * (RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT)
         if harness.against is not None:
             runs += 2 * PAIRS
@@ -129,6 +133,7 @@ class TimedWatch(Watch):
         # The mean time of a run in its process [s], or 0 if it is not yet known. Confirmations are not included,
         # because almost all of them are at the start, when most failures are new.
         runner = self.bench.runner
+        # Processes report their own times. The time of this process says nothing about them.
         if runner.in_use:
             return runner.run_seconds
         # The first runs on a cluster finish together, after the time of one run.
@@ -143,6 +148,7 @@ class TimedWatch(Watch):
     def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
         state, runner = self.state, self.bench.runner
         now = state.clock()
+        # Each report is a message to the controller, and thousands of runs take less than a second.
         if now - self._reported_at < self.progress_seconds:
             return
         self._reported_at = now
@@ -247,6 +253,7 @@ def _check_all_have_findings(state: State) -> None:
 def _record(
     happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch
 ) -> Iterator[SearchEvent]:
+    # The event first, then its effects, so that a consumer that stops here has seen it.
     for event in happened:
         yield event
         match event:
@@ -275,6 +282,7 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
     except ProcessLostError:  # not a fault of the set-up
         return
     verdict = bench.finish(run)
+    # If the exception does not come again, the runs had it by chance, so their findings stay.
     if cause_of(run, verdict) in counts.causes:
         judged = counts.causes.total()
         evaluated = "evaluated " if judged < counts.runs else ""
@@ -290,6 +298,7 @@ def _saved(
         return
     added = store.add(result, state.generation)
     match added:
+        # There is no file to confirm.
         case OnlyCounted():
             pass
         case Saved(seen):

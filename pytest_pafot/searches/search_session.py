@@ -130,6 +130,7 @@ class Events:
         try:
             return next(self._happens) if error is None else self._happens.throw(error)
         except StopIteration as end:
+            # The generator returns the result, which a for loop would drop.
             self.result = end.value
             raise
         finally:
@@ -142,6 +143,7 @@ class Events:
         if isinstance(error, StopIteration):
             # A generator would replace it with an error at the line where the search waits.
             error = ListenerError(error)
+        # If the search is over, nobody could handle the exception, so it is raised here.
         self._error = None if self.is_over else error
         return not self.is_over
 
@@ -164,6 +166,7 @@ class Prepared:
         stop: Callable[[], bool],
     ) -> Generator[SearchEvent, None, None]:
         """Search until ``stop()`` returns True, without a time limit. Failures are only counted."""
+        # A comparison has no corpus, and its failures need no files.
         self.store.only_counts = True
         return search(
             scenarios_of(algorithm, self.bench, generations=generations, runs=runs, seed=seed),
@@ -199,6 +202,7 @@ def prepared(
         RequestError: if the fitness does not exist, or the world cannot be used.
     """
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    # A session that only replays needs no space, so a wrong argument of the search does not prevent it.
     if space is None and request.settings.is_search:
         space = build_space(request, harness.world)
     # The fitness leads the search to collisions for which the ego is responsible.
@@ -207,6 +211,7 @@ def prepared(
         fitness = Steered(resolve(request.fitness), is_for_ego=is_for_ego)
     except FitnessError as error:
         raise request.error("fitness=...", error) from None
+    # Building the job also builds the world, so an environment that cannot be used is reported here.
     job, settings = harness.job(), request.settings
     examiner = Examiner(harness=harness, fitness=fitness, seed=seed, note=note)
     # Forked processes evaluate their own runs. A fitness function of the user is called only in this process, where its
@@ -236,6 +241,7 @@ def prepared(
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
+        # The same clock for all parts, which tests replace by one that stands still.
         state = State(clock=monotonic, space=space, began=monotonic())
         yield Prepared(
             state=state,
@@ -271,6 +277,7 @@ def scenarios_of(
 
 def _why_judged_here(harness: Harness) -> str:
     # Return why only this process can evaluate runs, or an empty string if the other processes can, too.
+    # It may read what the test has stored in this process.
     if not is_built_in(harness.request.fitness):
         return "the fitness is your own"
     if not harness.needs_only_run:
@@ -321,6 +328,7 @@ class SearchSession:
                     case Phase():
                         yield from self.watch.progress(*event)
                     case Note():  # for example, if the world cannot simulate a careful driver
+                        # The same note can come from each finding.
                         if event.text not in self.driver_notes:
                             self.driver_notes.append(event.text)
                     case _:
@@ -395,6 +403,7 @@ class SearchSession:
             yield from self._events(self.store.note_worst(self.state))
 
     def _compared(self) -> Iterator[SearchEvent]:
+        # Without a finding, no comparison could change the result, so none is paid for.
         if self.harness.against is None or self.state.space is None or not self.store.count:
             return
         now = self.state.clock()
@@ -481,6 +490,7 @@ class SearchSession:
                 )
                 continue
             deaths = list[LostRun]()
+            # The scenario is a finding unless a separate process shows that it can be completed.
             is_well = False
             if harness.request.settings.isolate or forks():
                 try:
@@ -492,6 +502,7 @@ class SearchSession:
                     deaths.append(error)
                 except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
                     pass
+            # The session itself has noticed the end of watched processes, and has reported it.
             has_died_twice = sum(not each.is_watched for each in same) > 1
             if has_died_twice or not is_well:
                 sighting = self.store.add_crash(leftover, scenario, deaths)
@@ -507,6 +518,7 @@ class SearchSession:
 
     def _world_of(self, leftover: Leftover) -> BaseWorld | None:
         # Return None if the world cannot be built.
+        # Old records have no world. They belong to the test's world.
         if leftover.world in (None, self.harness.job().world_data):
             return self.harness.world
         try:
@@ -528,9 +540,12 @@ class SearchSession:
             raise RequestError(str(error)) from None
         state.is_random = isinstance(algorithm, RandomSearch)
         self.store.replayed = frozenset(each.path for each in saved)
+        # Saved crashes are not run again in the search: their own items replay them, each in a process of its
+        # own.
         state.fatal |= {
             each.finding.scenario for each in saved if each.finding is not None and each.is_crash
         }
+        # The earliest end of the loop, however long the work on its findings may take.
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
             with runs_end_in(bench.budget.end - clock()):
@@ -554,6 +569,7 @@ class SearchSession:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
+        # The consumer ended the search between two events.
         if state.finished is None:
             return Ending.INTERRUPTED
         lost = clock() - watch.last
@@ -573,6 +589,7 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     settings = harness.request.settings
     if not forks() or settings.isolate or not settings.is_search:
         return harness
+    # A crash record, or a saved crash that still occurs, means that the policy can end this process, too.
     if harness.left_behind() or any(
         each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)
     ):

@@ -116,8 +116,10 @@ class Store:
         """Save a new finding without reporting it. If failures are only counted, just return its id."""
         failed = result.failed
         assert failed is not None  # noqa: S101  (the failure is new)
+        # The process that found the failure does not know the number of the generation.
         finding = failed.found_in(generation)
         self._forget_early(finding, failed.signature)
+        # A comparison of algorithms counts failures, and must not write into anybody's corpus.
         if self.only_counts:
             return OnlyCounted(finding.id)
         verdict = Verdict(
@@ -134,12 +136,15 @@ class Store:
             case Same():
                 pass
             case Differs(why=why):
+                # The file states it as well, because a replay must not trust a single run of a flaky
+                # scenario.
                 seen = self.call_flaky(seen, why)
             case NoTime():
                 seen = replace(seen, unshrunk=UNCONFIRMED)
             case _:
                 assert_never(confirmation)
         for again in confirmation.again:
+            # This process has no run of its own if another process found the failure.
             observed = replace(seen.observed, run=again.run, verdict=again.verdict)
             seen = replace(seen, observed=observed)
         self.findings[seen.id] = seen
@@ -148,6 +153,8 @@ class Store:
     def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
         """Save a new failure before its turn, so that it is not lost if the session is killed."""
         failed = result.failed
+        # Only the first of several equal failures is saved. Which one that is does not depend on the number
+        # of processes, because the one with the lowest number replaces it in its turn.
         if failed is None or failed.signature in known or failed.signature in self.early:
             return
         finding = failed.found_in(number)
@@ -187,11 +194,13 @@ class Store:
     def release(self) -> Iterator[Seen]:
         """Yield the findings that were held back. Later findings are reported immediately."""
         self.is_holding = False
+        # A copy, because publishing a finding removes it from the list.
         for find_id in tuple(self.held):
             yield from self.publish(self.findings[find_id])
 
     def withdraw(self) -> Iterator[Seen]:
         """Remove the findings that were held back, and yield those whose files cannot be removed."""
+        # The failures of later scenarios have the same cause, so their files are removed, too.
         deque(self.settle(keeps=False), maxlen=0)
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
@@ -233,6 +242,7 @@ class Store:
         """Yield a new or updated finding, which is reported once the next event is requested."""
         with postponed():
             self.findings[sighting.id] = sighting
+            # The exception of the first finding is updated when the finding is simplified.
             if self.first_exception is None or sighting.id == next(iter(self.findings)):
                 self.first_exception = sighting.raised
             yield sighting
@@ -241,6 +251,7 @@ class Store:
 
     def call_flaky(self, sighting: Seen, difference: str) -> Seen:
         """Mark a finding as flaky, in memory and in its file, with the ``difference`` between its runs."""
+        # The file can be replayed elsewhere, so it must not contain paths of this machine.
         flaky = portable(difference, str(self.harness.root))
         marked = replace(sighting, finding=replace(sighting.finding, flaky=flaky), unshrunk="")
         self.findings[sighting.id] = self.rewritten(marked)
@@ -301,11 +312,13 @@ class Store:
         self, finding: Finding, line: str, verdict: Verdict, *, has_drawn: bool = False
     ) -> Seen:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
+        # Two failures can have the same scenario, and so the same id, but need one file each.
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.harness.folder / f"{finding.id}{SUFFIX}"
         problem = ""
         try:
+            # The finding is reported all the same, with the option as the reason why it has no file.
             if self.harness.request.settings.save == "none":
                 problem = flag("save", "none")
             # Between the check and the write, another session may use the name for its own finding.
@@ -341,6 +354,7 @@ def _remove_early(path: Path) -> None:
 
 def record_death(result: Result, state: State, store: Store) -> Iterator[SearchEvent]:
     """Record a scenario in which a process was lost while findings were refined or policies compared."""
+    # Before anything else, so that no later step runs it again.
     state.fatal.add(result.evaluation.scenario)
     failed = result.failed
     if failed is None or failed.signature in state.known:

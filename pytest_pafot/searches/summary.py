@@ -43,6 +43,7 @@ def summary_of(
     harness = bench.harness
     settings = harness.request.settings
     counts = state.counts
+    # The plan counts complete generations, but reports them only at its end.
     generations = state.generation
     if state.finished is not None:
         generations = state.finished.generations
@@ -105,6 +106,7 @@ def _random_runs(reason: Ending, state: State) -> Counter[str]:
 def _notes(reason: Ending, state: State, bench: Bench, store: Store) -> Iterator[str]:
     harness = bench.harness
     health = state.counts.health
+    # In this order, from what concerns the result to what concerns only its cost.
     notes = [
         state.counts.doubt,
         state.known_alone,
@@ -113,6 +115,7 @@ def _notes(reason: Ending, state: State, bench: Bench, store: Store) -> Iterator
     ]
     if state.runs and not harness.policy.drives_itself:
         notes.append(left_out_text(harness.world))
+    # A warning about the same runs says more.
     if reason in WITH_WARNINGS and not health.hides_most:
         notes.append(health.early_ends)
     if state.runs:
@@ -131,6 +134,7 @@ def _options_without_effect(state: State, harness: Harness) -> str:
     lane = harness.request.space.get("ego_lane")
     if not state.runs:  # without a run, it is unclear whether the environment can be built
         return ""
+    # What has an effect depends on who drives and on who simulates.
     given = harness.world.options_without_effect(
         drives_itself=harness.policy.drives_itself, simulates=harness.policy.simulates
     )
@@ -144,6 +148,7 @@ def _options_without_effect(state: State, harness: Harness) -> str:
 def _unused_roads(state: State, harness: Harness) -> str:
     # Without an NPC on other paths, the search shows nothing about traffic there.
     world = harness.world
+    # For example the roads of a junction from which no NPC comes with these arguments.
     unused = world.unused_roads
     crosses = state.space is not None and state.space.zones
     if not unused or not state.runs or crosses:
@@ -180,6 +185,7 @@ def _left_undone(reason: Ending, counts: Counts, bench: Bench, store: Store) -> 
     if bench.budget.is_at_limit:
         more = f"delete the file, and search again with {flag('shrink_runs')}=N"
         yield f"simplifying stopped at its limit. To simplify further, {more}"
+    # A short search that found something has done its work.
     found_nothing = not counts.kinds["failed"] and not store.count
     if settings.runs == RUNS and reason is Ending.RUNS and found_nothing:
         longer = request.option("runs", 10 * RUNS)
