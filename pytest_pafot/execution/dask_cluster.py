@@ -136,6 +136,7 @@ class DaskPool:
 
     def add_all(self, tasks: Iterable[Task]) -> None:
         for task in tasks:
+            # A task that is announced twice runs once.
             if task in self._under_way or self.failure:
                 continue
             # The content is large, so it is sent only until a worker has it. A worker without it returns None.
@@ -199,6 +200,7 @@ class DaskPool:
 
 def _result(future: Future[Any]) -> Answered | Unfit | NeedsContent:
     while True:
+        # Waiting must end with the search's time limit, which no signal of the cluster reports.
         check_time()
         try:
             done: Answered | Unfit | NeedsContent = future.result(POLL)
@@ -261,6 +263,7 @@ def packed(job: Job) -> Parcel:
                 f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received the "
                 f"error {type(error).__name__}: {error}. Open files and connections inside the factory, not before"
             ) from None
+    # Part of the task's key, so that Dask never answers with a result of another policy.
     digest = hashlib.sha256(content).hexdigest()[:16]
     return Parcel(digest, content, job.patience, versions_here(), job.closing)
 
@@ -273,6 +276,7 @@ def _is_below(root: Path, module: ModuleType) -> bool:
         or name.partition(".")[0] in ("pytest_pafot", "__main__")
     ):
         return False
+    # Installed packages must be installed on the workers, too, in the same versions.
     path = Path(file)
     return path.suffix == ".py" and path.is_relative_to(root) and "site-packages" not in path.parts
 
@@ -322,6 +326,7 @@ def _run_task(parcel: Parcel, task: Task) -> Answered | Unfit | NeedsContent:
         problem = problem or str(answer.error)
     if problem:
         return Unfit(f"{OPTION}: a worker at {place} cannot run the ADS: {problem}")
+    # Only a pool that works is kept for the next task.
     idle.put(pool)
     return Answered(answer, recovered)
 

@@ -233,6 +233,7 @@ class WorkerPool(Generic[TaskT]):
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
         for task in tasks:
+            # A task that runs already is not sent again, so its answer serves all who ask.
             if task not in self._wanted:
                 self._wanted.add(task)
                 self._pending.append(task)
@@ -240,6 +241,7 @@ class WorkerPool(Generic[TaskT]):
 
     def add_first(self, tasks: Iterable[TaskT]) -> None:
         new = [task for task in tasks if task not in self._wanted]
+        # Someone waits for them, so they overtake tasks that were only announced.
         self._wanted.update(new)
         self._pending.extendleft(reversed(new))
         self._send()
@@ -293,6 +295,7 @@ class WorkerPool(Generic[TaskT]):
 
     def completed(self) -> Iterator[tuple[TaskT, Answer]]:
         """Yield each task with its answer as soon as the answer is available. No task is tried twice."""
+        # Tasks whose process died are among the answers, so the loop ends even if all die.
         while self._wanted:
             self._receive()
             self._send()
@@ -377,6 +380,7 @@ class WorkerPool(Generic[TaskT]):
 
     def _answer(self, task: TaskT, answer: Answer) -> None:
         if task in self._followed:
+            # Its answer is its last message.
             self._followed.discard(task)
             self._wanted.discard(task)
             self._said.append((task, answer))
@@ -392,6 +396,7 @@ class WorkerPool(Generic[TaskT]):
         # Several checks must fit into the patience.
         busy, now_and_then = self._busy, min(POLL, self.patience / 4)
         ready = wait([worker.connection for worker in busy], timeout=now_and_then)
+        # Processes that talk all the time must not keep this one from noticing a silent one.
         is_time = not ready or self.clock() - self._looked_at >= now_and_then
         if is_time:
             self._looked_at = self.clock()
@@ -553,6 +558,7 @@ class _Worker(Generic[TaskT]):
         is_busy = self.state is WorkerState.BUSY
         if is_busy and not interrupted:
             return False
+        # None is no task, and asks the process to end by itself.
         is_asked = self.send(None)
         if is_busy and sys.platform != "win32" and self.process.is_alive():
             os.kill(self.pid, signal.SIGTERM)
@@ -620,6 +626,7 @@ def ending(code: int | None) -> str:
 def _end_children(pid: int) -> list[int]:
     # Kill all descendants of a process, which must still exist, and return their ids.
     ended: list[int] = []
+    # On systems without /proc, only the process itself is ended.
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
             for child in map(int, listed.read_text("utf-8").split()):
@@ -750,6 +757,7 @@ def _serve(
                 if in_task:
                     break
                 said = pickle.dumps(RunItHere(_portable(error)))
+            # Outside the try block, because an error here means that the session is gone.
             connection.send_bytes(said)
         may_raise = False
     if leave is not None:
@@ -786,6 +794,7 @@ def _sendable(result: object) -> bytes:
 
 def _portable(error: BaseException) -> Exception:
     # Convert an error to an error that can be pickled, with the traceback as a note.
+    # SystemExit and KeyboardInterrupt would end the session if they were raised there.
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded
     try:

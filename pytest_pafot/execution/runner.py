@@ -287,6 +287,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     work = partial(_run_task, job, job.crash_record(is_watched=True))
     if not forks():
         try:
+            # multiprocessing would raise the same error, but only in the first run and with no advice.
             pickle.dumps(work)
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
@@ -493,6 +494,7 @@ class Here:
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
         if most is not None:
+            # The run ends with an error of the policy, which the caller must not take for one.
             factory = end_after(factory, most)
         return GENERATORS.run(simulate(self.job.world), scenario, factory)
 
@@ -547,6 +549,7 @@ class Apart(Here):
         self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]
     ) -> Iterator[Done[Any] | Lost[Any]]:
         __tracebackhide__ = True
+        # Scenarios are drawn one by one, because there may be millions.
         coming = iter(scenarios)
         most = AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
         ahead = deque[Scenario]()
@@ -561,6 +564,7 @@ class Apart(Here):
             scenario = ahead.popleft()
             # The search may have learnt meanwhile that a process dies in it.
             if skips(scenario):
+                # Its process may still run it, and the answer is dropped with the next tasks.
                 self._expected.pop(scenario, None)
                 continue
             match self._answer(scenario):
@@ -597,6 +601,7 @@ class Apart(Here):
         self, scenario: Scenario, simulate: Simulate = in_world, most: int | None = None
     ) -> Any:
         __tracebackhide__ = True
+        # The environment's own loop is slow to import in each process, and is needed only for failures.
         if simulate is not in_world and not self._is_only:
             return super()._run(scenario, simulate, most)
         match self._answer(Whole(scenario, simulate)):
@@ -622,6 +627,7 @@ class Apart(Here):
         # The answer of the process that ran a task. Its duration is taken into account, and its output is repeated.
         __tracebackhide__ = True
         if self._is_only:
+            # It may have been announced. Fetching it below takes the announced answer.
             self._expected.pop(task, None)
             answer = self._fetched(task)
             # Only runs in the world have the duration of the runs that are still to come.
@@ -631,6 +637,7 @@ class Apart(Here):
         elif task not in self._expected:
             return RunItHere(NOT_SENT)
         else:
+            # A cluster is used from the first run on, because the user asked for it.
             if self.is_elsewhere and self._pool is None:
                 self._begin()
             del self._expected[task]
@@ -666,6 +673,7 @@ class Apart(Here):
 
     def _run_instead(self, why: RunItHere, scenario: Scenario, most: int | None = None) -> Any:
         __tracebackhide__ = True
+        # The first runs of a search decide whether processes pay off, see _learn.
         started = self._clock()
         trace = super()._run(scenario, most=most)
         if isinstance(why, NotStarted):
@@ -678,6 +686,7 @@ class Apart(Here):
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
             return list(getattr(self._pool, "notes"))  # noqa: B009
+        # A death that a second process did not repeat is no finding, but may be a sign of too little memory.
         recoveries = [lost.recovery for lost in self.deaths]
         if self._is_only:
             return recoveries
@@ -688,6 +697,7 @@ class Apart(Here):
         if self._runs_before:
             used = f"{option}: after {plural(self._runs_before, 'run')} in this process, the rest ran in workers"
             return [used + self.job.remark, *recoveries]
+        # Too few runs to say anything about their duration.
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self.run_seconds, 1000 * DEAR
@@ -710,6 +720,7 @@ class Apart(Here):
         """Start a chunk in another process. Return False if no process can run it."""
         if self._pool is None and not self._failure:
             self._start()
+        # A cluster's workers cannot report single runs of a chunk.
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
             return False
         self._pool.follow(task)
@@ -724,6 +735,7 @@ class Apart(Here):
 
     def end(self) -> None:
         if self._pool is not None:
+            # The notes at the end mention the deaths of all pools.
             self.recovered += self._pool.recovered
             self._pool.close()
             self._pool = None
@@ -778,6 +790,7 @@ class Apart(Here):
             self._start()
 
     def _start(self) -> None:
+        # A second start, after a death or an end, does not change when the first one was.
         self._runs_before = self._runs_before or self._runs
         try:
             self._begin()
@@ -785,6 +798,7 @@ class Apart(Here):
             self._failure = str(error)
 
     def _begin(self) -> ScenarioPool:
+        # Looked up at each start, so that tests can replace it.
         make_pool = self._cluster or partial(pool_for, size=self._workers)
         pool: ScenarioPool = make_pool(self.job)
         self._pool = pool
@@ -827,6 +841,7 @@ def drive_once(world: Any, scenario: Scenario, ads: Factory) -> Run:
         ProcessLostError: if the forked process died or hung.
     """
     __tracebackhide__ = True
+    # A test can pass any object.
     base = checked_world(world)
     if forks() and isolates():
         # The run is repeated below in this process, because a test may read what its policy has stored.

@@ -101,6 +101,7 @@ class Paired:
         return replace(self, runs=self.runs + 1, only_new=only_new, only_reference=only_reference)
 
     def __str__(self) -> str:
+        # Without it, few scenarios would look like a choice.
         cut = " before the time ran out" if self.is_cut else ""
         new, old = self.only_new or "none", self.only_reference or "none"
         counts = f"{new} failed only with this policy, and {old} only with the reference"
@@ -217,6 +218,7 @@ def by_test(searches: Iterable[Search]) -> dict[str, Search]:
 def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
     """Return a replay. If it passes, add the conclusion from its test's search."""
     search, now = searches.get(replay.test), replay.observed
+    # Only for a replay that passes, the search decides whether the failure is gone.
     if search is None or replay.label != "passes":
         return replay
     if elsewhere := next(

@@ -60,7 +60,9 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
         return Verdict(kind="invalid")
     # The failing line in this file identifies a failure.
     if test_file is None:
+        # A decorated function has the file of its innermost function, in which its assertions are.
         test_file = source_file(test)
+    # An exception of the ADS comes before anything that the test could say about the run.
     broken = ads_failure(run)
     if broken is not None:
         is_timed = run.outcome is Outcome.HANG
@@ -78,6 +80,8 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
 
 
 def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
+    # Checks and targets of the function are noted while it runs, because its exception carries only the failed
+    # one.
     recording = Recording(
         hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs)
     )
@@ -98,6 +102,7 @@ def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
     except UNFIT as error:
         if is_interruption(error):
             raise
+        # Any exception is a failure of the property, as in a test without a search.
         failure = raised_failure(error, test_file)
         return Verdict(
             kind="failed",
@@ -126,6 +131,7 @@ def ads_text(failure: Failure, timing: str = "") -> str:
 def headline(run: Run, verdict: Verdict) -> str:
     """Return one line about a finding's event, with the test function's message if that adds anything."""
     failure = verdict.failure
+    # The event is worth more than the assertion, which is the same for all findings of a test.
     line = collision_in_short(run) or run.explain().splitlines()[0]
     if failure is None:
         return line
@@ -208,6 +214,7 @@ class SetupFaultError(Exception):
 
     def first_decision(self, world: BaseWorld, policy: Policy) -> str:
         """Return a hint about the decision that the world expects, or an empty string."""
+        # Such a policy makes no decisions that could have wrong units.
         if policy.drives_itself:
             return ""
         asked = world.first_decision(self.run.trace.scenario)
@@ -325,6 +332,7 @@ def reference_of(
     name = ""
     if isinstance(given, str):
         name = given
+        # Names of fixtures contain no colon.
         find = factory_named if ":" in given else fixture
         try:
             found = find(given)
@@ -340,6 +348,7 @@ def reference_of(
             problem += f". {hint}"
         raise AgainstError(f"against: {problem}")
     reference = Reference(policy=Policy(found), name=name or name_of(found))
+    # A comparison with itself would always be green.
     same = same_policy(tested.factory, found)
     if same:
         raise AgainstError(f"against ({reference.shown}): {same}")
@@ -478,6 +487,8 @@ class Harness:
                 kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True
             )
         except RequestError as error:
+            # The message was written for the tested policy. The user must see that the reference is
+            # meant.
             text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
             named = f" ({self.against_name})" if self.against_name else ""
             raise AgainstError(f"against{named}: {text}") from None
@@ -520,6 +531,7 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:
     """Return the value of a fixture if it is an ADS factory, or raise an error."""
+    # A common mistake is to return the policy itself, which would keep its state from run to run.
     if not callable(given):
         hint = hint_at_object(given)
         raise RequestError(
@@ -541,6 +553,7 @@ def is_same_run(a: Run, b: Run) -> bool:
 
 def begins_alike(run: Run, longer: Run) -> bool:
     """Return whether ``longer`` starts with the same states as ``run``."""
+    # Bytes and not values, because NaN differs from itself.
     first, second = run.trace.states, longer.trace.states
     # nothing to continue
     if len(second) <= len(first) or run.outcome not in (Outcome.COMPLETED, Outcome.OFF_ROAD):

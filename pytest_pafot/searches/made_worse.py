@@ -74,10 +74,12 @@ class MadeWorse:
     def _failed_only(self, result: Result) -> Generator[SearchEvent, None, FailedOnly]:
         __tracebackhide__ = True
         bench = self.bench
+        # A death is a finding, even if the policies fail equally often.
         if result.ended == "lost":
             yield from record_death(result, self.state, self.store)
         if bench.reference is None or result.kind not in PASSES:
             return FailedOnly(new=result.kind == "failed")
+        # The reference has run already if the new policy failed, because only then it decides what counts.
         reference = bench.harness.judge_reference(bench.reference, result.evaluation.scenario)
         bench.record.clear()
         return FailedOnly(reference=reference.failed)

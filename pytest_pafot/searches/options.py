@@ -294,6 +294,7 @@ def _read_integer(option: Option, value: object) -> int:
         number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
+    # In Python, True is the number 1, but nobody asks for True runs.
     if isinstance(number, int) and not isinstance(number, bool):
         if option.least <= number <= option.most:
             return number
@@ -317,6 +318,7 @@ def _read_workers(option: Option, value: object) -> int:
 
 
 def _read_seconds(option: Option, value: object) -> float:
+    # A value that is no number is reported as one that is out of range, with what is expected.
     seconds = -1.0
     if isinstance(value, (str, int, float)) and not isinstance(value, bool):
         with suppress(ValueError):

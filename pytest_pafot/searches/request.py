@@ -130,6 +130,7 @@ def checked_request(
         )
     except ValueError as error:
         raise RequestError(str(error)) from error
+    # Otherwise, such a search would silently ignore the option.
     if algorithm.draws_by_number and settings.generations:
         raise RequestError(
             f"generations: expected no generations for {algorithm.name!r}, received {settings.generations}. Only "
@@ -138,6 +139,7 @@ def checked_request(
         )
     names = ("ads", "blame", "world")
     own = {name: arguments[name] for name in names if name in arguments}
+    # A name without a colon is a fixture, which only pytest can resolve.
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
         try:
             own["ads"] = factory_named(own["ads"])
@@ -189,6 +191,7 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
     unknown = next((name for name in arguments if name not in known), None)
     if unknown is None:
         return
+    # The option exists, but in another place, so say where.
     if unknown in BY_NAME:
         raise RequestError(
             f"{place}({unknown}=...): this option applies to the whole session. Use {BY_NAME[unknown].flag} on the "
@@ -242,6 +245,7 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
                 f"{request.space['instructions']!r:.100}",
             )
         SearchSpace(**request.space)
+        # A truck that cannot follow a bend would make every scenario invalid.
         vehicles = named_vehicles(request.space.get("vehicles", (CAR,)))
         if odd := next((each for each in vehicles if not world.can_drive(each)), None):
             raise request.error(
@@ -258,6 +262,7 @@ def build_space(request: Request, world: BaseWorld) -> SearchSpace:
         # The user's arguments override the defaults. The world adds the rest, such as crossings and the length of the
         # chains.
         space = world.space({**drawn, **request.space})
+        # From here on, an error concerns the values together, so the message shows them.
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         # so that a wrong argument raises one clear error before the search starts
         sample(space, rng_of(0))
@@ -286,6 +291,7 @@ def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
     # On a straight road, add patterns of traffic, and sample the number of NPCs, the durations and the start if they
     # are not given. An environment defines the start of its ego, so the start is sampled only for other worlds.
     drawn["patterns"] = True
+    # Only lanes with enough cells for all NPCs can be the ego's.
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
     if "ego_lane" not in given and road.lane_count <= EGO_LANE:  # a road of one lane
         drawn["ego_lane"] = lane = 0
@@ -300,10 +306,12 @@ def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
             drawn["least_npcs"] = min(LEAST_NPCS, *drawn["most_npcs"]) if in_lanes else 1
     if draws_genes:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
+    # With one lane for all scenarios, a policy that fails only in an outer lane would pass.
     if draws_lane:
         drawn["ego_lanes"] = lanes
     if isinstance(world, (Highway, SimulatorWorld)) and "ego_speed" not in given:
         limit = world.speed_limit
+        # Hostile traffic may be slow, but an ego at walking speed tests little.
         slowest = max(min(SLOWEST_START, limit / 2), STYLES[drawn["traffic"]].least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
@@ -376,6 +384,7 @@ def named_world(
             f"{place}: expected a factory that returns a world, received {received}. {fix}"
         ) from error
     _refuse_other_worlds(made, f"{place}: expected the factory {reference!r} to return")
+    # The world would pass the planner's numbers to the environment as if they were its own actions.
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
         fix = "Return pafot.World(..., planner_hz=5) from the factory"
         raise RequestError(
@@ -397,6 +406,7 @@ def hint_at_world(given: Any) -> str:
     if given is None:
         return '. Return a world, such as pafot.World("highway-v0")'
     try:
+        # The only way to learn whether the id is an environment of highway-env.
         World(env_id or "").environment.make()
     except WorldError:
         return ""

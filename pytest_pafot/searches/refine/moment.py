@@ -73,6 +73,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     """Return a finding with the last decision that could have avoided the failure."""
     harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
     # Nothing can be hidden from a vehicle class, which reads the road itself, or from a policy with the environment.
+    # A saved finding of a process that died has no run either.
     if run is None or not harness.policy.only_observes:
         return sighting
     # With a reference, the moment is the first decision that differs from the reference's.
@@ -82,6 +83,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     ):
         return replace(sighting, moment=moment)
     trace, npc, number = run.trace, vehicle_of(run, expect), deciding(run, expect)
+    # Without a vehicle to change, no decision can be shown to matter.
     if npc is None or number is None or not trace.actions:
         return sighting
     ask = partial(_decided_aside, sighting, trace, state, bench)
@@ -93,6 +95,7 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
         differ(action, whole.action_at(each)) for each, action in enumerate(trace.actions)
     ):
         return sighting
+    # The decision in which the vehicle is invisible to the policy from the first tick on.
     without_it = None
     if harness.world.hides:  # otherwise, only the decision is reported
         without_it = yield from ask(npc, Question(number=number))
@@ -112,6 +115,7 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
         return sighting
     trace = run.trace
     times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
+    # The moment has only a time, because it is also read from JSON.
     number = times.index(moment.time)
     question = Question(number=number, conditions=conditions)
     ask = partial(_decided_aside, sighting, trace, state, bench, None)
@@ -123,11 +127,13 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
     # Compare with a decision that perceives the vehicle in another position: where the moment reports a different
     # action or, without one, far away.
     compared: list[tuple[str, int | None, Question]] = []
+    # What the new policy received, which perception may have changed.
     npc, seen = moment.npc, aside.at
     whom: dict[int, tuple[int, ...]] | None = None
     if isinstance(seen, Observation):
         # a condition is about the vehicles whose slightly different positions change its values
         whom = {}
+        # In a fixed order, so that equal searches list the conditions in the same order.
         vehicles = sorted([*seen.ids, *(each.id for each in seen.crossing)])
         for other in vehicles if aside.conditions else ():
             nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
@@ -147,6 +153,7 @@ def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen
         )
     first: dict[str, Parted] = {}
     for when, elsewhere, each_question in compared:
+        # The first comparison that shows a deciding condition is enough.
         if not first and (asked := (yield from ask(each_question))) is not None:
             is_other = differ(trace.actions[number], asked.action_at(each_question.number))
             first = parting(
@@ -176,6 +183,7 @@ def _nudged(seen: Observation, npc: int) -> Observation:
 
 def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
     # Return the change that the moment reports, or a large one if no change has an effect.
+    # The moment has described its change in words, so the change is found by its words.
     said = moment.otherwise or ""
     furthest = next(each for each in reversed(changes) if each[0].endswith("further away"))
     if not said and moment.hidden:
@@ -195,6 +203,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
         assert runner is not None  # noqa: S101  (the caller has a reference)
         run, _ = harness.run_reference(runner, trace.scenario)
     bench.record.clear()
+    # The reference's process died, so nothing can be compared.
     if run is None:
         return None
     decisions = zip(trace.actions, run.trace.actions, strict=False)
@@ -222,12 +231,14 @@ def _decided_aside(
     from pytest_pafot.world.driving.environment import checked_action  # noqa: PLC0415  (it needs highway-env)
 
     harness, record, scenario = bench.harness, bench.record, trace.executed
+    # A planner's world has no action space, and its actions are in SI units.
     space, isolate = harness.world.action_space, harness.request.settings.isolate
     check: Any = partial(checked_action, space=space)
     if space is None:
         check = partial(checked_si_action, lanes=MANY)
     if question is not None and not harness.world.hides:
         question = replace(question, is_noted=False)
+    # The new policy writes its decisions here while the recorded actions drive the ego.
     aside = Aside()
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     if npc is not None:
@@ -246,6 +257,7 @@ def _decided_aside(
             else:
                 runner.once(scenario)
             return aside
+    # The factory may refuse to make a second policy, which is no error of the search.
     except RequestError:
         return None
     finally:
@@ -262,6 +274,7 @@ def _moment_of(
     if without_it is None:
         return Moment(time=time, npc=npc, was=seen_of(trace, npc, number), action=text_of(action))
     is_planner = isinstance(seen, Observation)
+    # The position as the policy received it, which need not be the true one.
     where = ""
     if is_planner and npc in seen.ids:
         ego, other = seen.ego, seen.others[seen.ids.index(npc)]
@@ -297,6 +310,7 @@ def _moment_of(
         ):
             hidden = otherwise = None
             break
+        # With all earlier decisions equal, only the changed vehicle can explain this one.
         answer = aside.action_at(number)
         if not words:
             hidden = text_of(answer, action) if differ(action, answer) else ""
@@ -318,6 +332,7 @@ def _pickled(seen: Any) -> Any:
 
 def _is_other(action: Any, other: Any) -> bool:
     # A decision with slightly different values is the same decision.
+    # Only the numbers of a planner can differ a little.
     if type(action) is not type(other) or not is_planners(action):
         return differ(action, other)
     here, there = parts_of(action), parts_of(other)
@@ -333,6 +348,7 @@ def _is_other(action: Any, other: Any) -> bool:
 def _changes(seen: Observation, npc: int) -> list[Change]:
     # The changes of a vehicle in words and as offsets, starting with the smallest. None hides the vehicle.
     other = seen.others[seen.ids.index(npc)]
+    # A vehicle cannot be moved through the ego, so it is moved nearer by less than the gap.
     gap = other.x - seen.ego.x
     # each with its size, by which they are sorted
     found: list[tuple[float, str, Additions | None]] = [(0.0, "", None)]
@@ -359,6 +375,7 @@ def text_of(action: Any, other: Any = None) -> str:
         return text_of_any(action)[:80]
     parts, shown = parts_of(action), []
     for name in differing_parts(action, other):
+        # A steering angle of a thousandth is not worth a word.
         least, form = PARTS.get(name, (0.0, "{}"))
         if parts[name] is None or (
             other is None and name == "steering" and abs(parts[name]) < least

@@ -46,6 +46,7 @@ def showing(
 ) -> Refining[Run | None]:
     """Run a scenario, and return the run if it reproduces the failure within ``most`` decisions."""
     __tracebackhide__ = True
+    # It would end another process, and shows nothing about this failure.
     if scenario in state.fatal:
         return None
     try:
@@ -68,6 +69,7 @@ def showing(
 def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench) -> bool:
     """Return whether a run reproduces a finding's failure, with the same fault and responsibility."""
     shown = bench.examiner.signature_of(run, verdict)
+    # Shrinking must not slip to another failure, which has a finding of its own.
     if shown is None or not is_same(shown, found_as(sighting, state)):
         return False
     return shown.is_property or run.attribution.responsibility == sighting.responsible
@@ -93,8 +95,10 @@ def without_unreached_genes(run: Run) -> Scenario:
 
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     """Announce the next scenarios to other processes, which can run them in advance."""
+    # With one process, running a candidate in advance only wastes it if it is not needed.
     if bench.harness.request.settings.workers < 2:
         return
+    # A process would report an unfit candidate as an error of the world.
     fitting = list[Scenario]()
     for each in ahead.candidates:
         with suppress(ScenarioError):
@@ -108,6 +112,7 @@ def failure_rate(
 ) -> Refining[FailureRate]:
     """Measure how often the policy fails in a scenario, with different seeds unless the finding is flaky."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
+    # Counted over a fixed number of runs, so that rates of different days can be compared.
     failing = 0
     for number in range(1, RUNS + 1):
         bench.budget.check()
@@ -148,6 +153,7 @@ class Turn:
 
     def check(self, now: float, bench: Bench) -> None:
         """Raise OutOfBudget, now and in later calls, if too little is left for another attempt."""
+        # The next attempt is expected to take as long as the earlier ones did on average.
         mean = self.seconds / max(self.attempts, 1)
         # An attempt takes about as many decisions as the simplest failing run. The work after shrinking takes some,
         # too.
@@ -160,6 +166,7 @@ class Turn:
 
     def took(self, seconds: float, confirming: float | None) -> None:
         """Record how long [s] an attempt took, including its confirmation if it succeeded."""
+        # Failed attempts take time, too, and are most of them.
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -194,12 +201,14 @@ def simplest_of(
     turn.to_confirm = max(map(len, actions.values()), default=0)
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
+        # The scenario failed in another process, so its actions are not here yet.
         if scenario not in actions:
             actions[scenario] = bench.rerun(scenario).trace.actions
         return actions[scenario]
 
     def attempt(candidate: Scenario, best: Scenario) -> Refining[Shown]:
         began = bench.clock()
+        # Before the run, because a run that the limit cuts short shows nothing.
         turn.check(began, bench)
         yield Phase(f"simplifying {id_}, run {turn.attempts + 1} of {rollouts}", id_)
         most = None
@@ -215,6 +224,7 @@ def simplest_of(
         if run is None:
             turn.took(bench.clock() - began, None)
             return None
+        # What the run did not reach cannot matter, and a shorter scenario is simpler.
         scenario = without_unreached_genes(run)
         actions[scenario] = run.trace.actions
         turn.to_confirm = len(run.trace.actions)
@@ -223,6 +233,7 @@ def simplest_of(
         )
         return scenario, starts_of(run, top_speed)
 
+    # This is the result if the user allows no attempts.
     scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
     if rollouts:
         is_likely = None if repeats is None else _likely(sighting, turn, state, bench, actions_in)
@@ -236,6 +247,8 @@ def simplest_of(
             asks_likely=is_likely is not None,
         )
         try:
+            # The shrinker only decides what to try. This loop runs it, so that progress can be reported
+            # in between.
             question = next(asking)
             while True:
                 reply: Shown | bool = None
@@ -247,6 +260,7 @@ def simplest_of(
                             reply = is_likely(candidate, simplest)
                         case Ahead():
                             announce(question, state, bench)
+                # The shrinker must hear of it, because it returns the best scenario so far.
                 except OutOfBudget as over:
                     question = asking.throw(over)
                 else:
