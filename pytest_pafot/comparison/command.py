@@ -74,14 +74,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
     plan = Plan(**{**given, "algorithms": names})
     plan.check()
-    workers, folder = worker_count(arguments.workers), arguments.out
+    workers = worker_count(arguments.workers)
+    folder = arguments.out
     # Errors on the command line are reported first, before the user has to install anything.
     missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
     if missing:
         raise RequestError(
             f"the report needs the library {missing}, which is not installed. Run `{install('compare')}`."
         )
-    path, rows = folder / RESULTS, dict[tuple[str, int], list[Row]]()
+    path = folder / RESULTS
     if path.exists():
         raise RequestError(
             f"--out: expected a folder without the results of a comparison, but {folder} contains {RESULTS}. "
@@ -94,6 +95,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"compare: warning: {DIFFERENT}\n{groups}")
     with written_into(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    rows: dict[tuple[str, int], list[Row]] = {}
     # If the command is stopped or a run ends in an error, the rows of the finished runs are written, too.
     try:
         for task, found in run_tasks(partial(run_rows, plan), plan.tasks, workers):
