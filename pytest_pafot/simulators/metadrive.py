@@ -75,8 +75,6 @@ def metadrive(
         "lanes": lanes,
         "observation": observation,
         "sensors": sensors,
-    }
-    own |= {
         "speed_limit": speed_limit,
         "start_lane": start_lane,
         "start_speed": start_speed,
@@ -84,9 +82,7 @@ def metadrive(
     }
     if "ego" in world:
         received = f"{world['ego']!r:.100}"
-        raise WorldError(
-            field="ego", expected="MetaDrive's own vehicle", received=received, fix="omit ego="
-        )
+        raise WorldError("ego", "MetaDrive's own vehicle", received, "omit ego=")
     given: Any = {"ads_hz": 10, "duration": 15.0, "ego": VEHICLE, **world}
     return SimulatorWorld(partial(MetaDrive, **own), **given)
 
@@ -111,37 +107,40 @@ class MetaDrive(Simulator):
         start_at: float | None = None,
     ) -> None:
         if version_info >= (3, 12) or find_spec("metadrive") is None:
-            received = (
-                "no MetaDrive"
-                if version_info < (3, 12)
-                else f"Python {version_info[0]}.{version_info[1]}"
-            )
-            expected, fix = (
+            received = "no MetaDrive"
+            if version_info >= (3, 12):
+                received = f"Python {version_info[0]}.{version_info[1]}"
+            raise WorldError(
+                "pafot.metadrive",
                 "MetaDrive 0.4.3 on Python 3.11",
+                received,
                 f"run `{install('metadrive')}` with Python 3.11",
             )
-            raise WorldError(field="pafot.metadrive", expected=expected, received=received, fix=fix)
         if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
             expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'
-            raise WorldError(field="map", expected=expected, received=f"{map!r:.100}")
+            raise WorldError("map", expected, f"{map!r:.100}")
         if observation not in (None, "lidar", "vehicle"):
             expected = 'None (for a planner), "lidar" or "vehicle"'
-            raise WorldError(
-                field="observation", expected=expected, received=f"{observation!r:.100}"
-            )
-        self._observation, self._map, self._count = (
-            observation,
-            map,
-            whole_within("lanes", lanes, 1, MOST_LANES),
-        )
-        self._data = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
-        self._data |= {"speed_limit": speed_limit, "start_lane": start_lane}
-        self._data |= {"start_speed": start_speed, "start_at": start_at}
+            raise WorldError("observation", expected, f"{observation!r:.100}")
+        self._data = {
+            "map": map,
+            "lanes": lanes,
+            "observation": observation,
+            "sensors": sensors,
+            "speed_limit": speed_limit,
+            "start_lane": start_lane,
+            "start_speed": start_speed,
+            "start_at": start_at,
+        }
+        self._map = map
+        self._count = whole_within("lanes", lanes, 1, MOST_LANES)
+        self._observation = observation
         self._sensors = _check_sensors(sensors)
         self.native = observation is not None
-        self.speed_limit, self.start_lane, self.start_speed, self.start_at = (
-            speed_limit, start_lane, start_speed, start_at,
-        )  # fmt: skip
+        self.speed_limit = speed_limit
+        self.start_lane = start_lane
+        self.start_speed = start_speed
+        self.start_at = start_at
         self._env: Any = None
         self._ego: Any = None
         self._npcs: list[Any] = []
@@ -161,7 +160,8 @@ class MetaDrive(Simulator):
         return self._env
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        env, start = self._opened(), vehicles[0]
+        env = self._opened()
+        start = vehicles[0]
         self._length = start.length
         self._ego = env.begin((start.x, start.y), start.heading, start.speed)
         self._npcs = [
@@ -183,8 +183,10 @@ class MetaDrive(Simulator):
     def step(self, controls: Sequence[Any]) -> None:
         # Put the NPCs at their positions at the end of the tick.
         self._put(controls[1:])
-        engine, control = self._env.engine, controls[0]
-        pedals = self._pedals(control) if control.action is None else control.action
+        engine = self._env.engine
+        pedals = controls[0].action
+        if pedals is None:
+            pedals = self._pedals(controls[0])
         engine.before_step({"default_agent": pedals})
         engine.step(SUBSTEPS)
         engine.after_step()
@@ -194,13 +196,11 @@ class MetaDrive(Simulator):
         vehicle = self._ego
         wheels = math.atan(math.tan(control.steering) * WHEELBASE / self._length)
         # The forces of the engine and the impulses of brakes act on each of four wheels.
-        most = (
-            vehicle.config["max_engine_force"]
-            if control.acceleration > 0.0
-            else vehicle.config["max_brake_force"]
-        )
-        pedal = control.acceleration * vehicle.MASS / 4.0 / most
-        pedal *= 1.0 if control.acceleration > 0.0 else SUBSTEP
+        force = control.acceleration * vehicle.MASS / 4.0
+        if control.acceleration > 0.0:
+            pedal = force / vehicle.config["max_engine_force"]
+        else:
+            pedal = force / vehicle.config["max_brake_force"] * SUBSTEP
         # a pedal of 0 brakes by 0.36 m/s^2
         return wheels / math.radians(vehicle.max_steering), pedal or 1e-6
 
@@ -222,10 +222,8 @@ class MetaDrive(Simulator):
 
     def states(self) -> list[tuple[float, ...]]:
         ego = self._ego
-        return [
-            (*map(float, ego.position), float(ego.heading_theta), float(ego.speed)),
-            *self._put_at,
-        ]
+        state = (*map(float, ego.position), float(ego.heading_theta), float(ego.speed))
+        return [state, *self._put_at]
 
     def close(self) -> None:
         if self._env is not None and self._env.is_open:
@@ -235,27 +233,26 @@ class MetaDrive(Simulator):
 
 def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     checked: dict[str, dict[str, int]] = {"lidar": {"num_others": 4}}
-    for name, given in (
-        sensors.items()
-        if isinstance(sensors, Mapping)
-        else [("sensors", sensors)]
-        if sensors
-        else ()
-    ):
-        most = {"num_lasers": 1000, "distance": 1000} | (
-            {"num_others": 8} if name == "lidar" else {}
-        )
+    if not sensors:
+        return checked
+    if not isinstance(sensors, Mapping):
+        raise _refused_sensors(sensors)
+    for name, given in sensors.items():
+        most = {"num_lasers": 1000, "distance": 1000}
+        if name == "lidar":
+            most["num_others"] = 8
         if name not in DETECTORS or not isinstance(given, Mapping) or set(given) - set(most):
-            expected = (
-                f"only num_lasers and distance for {', '.join(DETECTORS)}, and num_others for lidar"
-            )
-            raise WorldError(field="sensors", expected=expected, received=f"{sensors!r:.100}")
-        values = {
-            key: whole_within(f"sensors.{name}.{key}", value, 0, most[key])
-            for key, value in given.items()
-        }
-        checked[name] = {**checked.get(name, {}), **values}
+            raise _refused_sensors(sensors)
+        values = checked.setdefault(name, {})
+        for key, value in given.items():
+            values[key] = whole_within(f"sensors.{name}.{key}", value, 0, most[key])
     return checked
+
+
+def _refused_sensors(sensors: object) -> WorldError:
+    names = ", ".join(DETECTORS)
+    expected = f"only num_lasers and distance for {names}, and num_others for lidar"
+    return WorldError("sensors", expected, f"{sensors!r:.100}")
 
 
 class Expert:
@@ -311,14 +308,17 @@ class OwnPolicy:
         return self.make()
 
     def check_world(self, world: Any) -> None:
-        is_own = isinstance(world, SimulatorWorld) and world.maker is MetaDrive
-        stated = world.to_dict()["simulator"] if is_own else {}
+        stated = {}
+        received = f"{world!r:.200}"
+        if isinstance(world, SimulatorWorld) and world.maker is MetaDrive:
+            stated = world.to_dict()["simulator"]
+            received = f"pafot.metadrive with {stated}"
         if (stated.get("observation"), stated.get("sensors")) != (self.observation, None):
-            received = f"pafot.metadrive with {stated}" if is_own else f"{world!r:.200}"
+            needed = f"pafot.metadrive(observation={self.observation!r})"
             raise refused_policy(
-                f"the world pafot.metadrive(observation={self.observation!r}) for this policy of MetaDrive",
+                f"the world {needed} for this policy of MetaDrive",
                 received,
-                f"write `world=pafot.metadrive(observation={self.observation!r})`",
+                f"write `world={needed}`",
             )
 
 
