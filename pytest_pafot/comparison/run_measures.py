@@ -269,7 +269,7 @@ def comparisons(results: Results) -> list[Comparison]:
         no_effect = (None, None, None)
         found.append(Comparison(measure, first, second, *counts, *no_effect, p, "Fisher exact"))
         times = [first_failures(each, results.horizon) for each in (a, b)]
-        medians = [survival(*each).median for each in times]
+        medians = survival(*times[0]).median, survival(*times[1]).median
         p = log_rank(*times[0], *times[1])
         measure = "simulated s to the first ego-responsible failure"
         found.append(Comparison(measure, first, second, *medians, *no_effect, p, "log-rank"))

@@ -24,7 +24,7 @@ NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs giv
 def road_file(name: str, trace: Trace) -> bytes:
     """Return an OpenDRIVE file with a single road if all lanes are straight and adjacent, or else a road per lane."""
     drive = xodr.OpenDrive(name)
-    groups = [(lane,) for lane in trace.lanes]
+    groups: list[Sequence[Lane]] = [(lane,) for lane in trace.lanes]
     if _are_one(trace.lanes):
         groups = [trace.lanes]
     for number, group in enumerate(groups):

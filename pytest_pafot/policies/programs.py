@@ -169,7 +169,7 @@ def action_of(line: bytes) -> Any:
         "expected a line of JSON with the keys acceleration and steering, or lane and speed, or lane and acceleration, "
         "or, in a pafot.World, action, received"
     )
-    answer = None
+    answer: Any = None
     # not JSON, not text, 5000 digits, or 100,000 brackets
     with suppress(ValueError, RecursionError):
         answer = json.loads(line, object_pairs_hook=_without_repetition)

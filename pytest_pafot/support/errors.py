@@ -105,9 +105,9 @@ def plain_number(value: object) -> float | None:
     """Return a finite number as Python's own int or float, or None for any other value."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
-    kind = int if isinstance(value, Integral) else float
+    kind: Any = int if isinstance(value, Integral) else float
     try:
-        number = kind(value)
+        number: float = kind(value)
         if math.isfinite(number):
             return number
     except OverflowError:  # The int is too large for a float.
