@@ -33,14 +33,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "runs of S seconds, and NAME@paper for the paper's scenarios. The first algorithm is compared with each of the "
         "others (default: %(default)s)",
     )
-    of_ads = "test this policy: a module of example_ads, module:factory, or module:factory:argument"
-    parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
-    of_out = "write the results to this folder, which must not contain results yet"
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help=of_out)
-    of_runs = "run each algorithm N times (default: %(default)s)"
-    parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
-    of_seconds = "stop each run after S simulated seconds (default: 3600)"
-    parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help=of_seconds)
+    parser.add_argument(
+        "--ads",
+        required=True,
+        metavar="ADS",
+        help="test this policy: a module of example_ads, module:factory, or module:factory:argument",
+    )
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="write the results to this folder, which must not contain results yet",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=10,
+        metavar="N",
+        help="run each algorithm N times (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=3600.0,
+        metavar="S",
+        help="stop each run after S simulated seconds (default: 3600)",
+    )
     parser.add_argument(
         "--seed",
         type=int,
@@ -58,14 +77,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="search for these collisions: all (any), or only those for which the ego is responsible (ego) "
         "(default: %(default)s, as in the paper)",
     )
-    of_fitness = "maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
-    of_fitness += "(default: the fitness of each algorithm)"
-    parser.add_argument("--fitness", help=of_fitness)
+    parser.add_argument(
+        "--fitness",
+        help="maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
+        "(default: the fitness of each algorithm)",
+    )
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_duration = "set the duration of scenarios to S seconds (default: 60, or the duration of the environment)"
-    parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
-    of_clearance = "set the clearance of the grid to D metres; the paper uses 0 (default: 3)"
-    parser.add_argument("--clearance", type=float, metavar="D", help=of_clearance)
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help="set the duration of scenarios to S seconds (default: 60, or the duration of the environment)",
+    )
+    parser.add_argument(
+        "--clearance",
+        type=float,
+        metavar="D",
+        help="set the clearance of the grid to D metres; the paper uses 0 (default: 3)",
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

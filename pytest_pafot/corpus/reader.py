@@ -309,7 +309,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
             kind = getattr(yaml, "CSafeLoader", kind)
     loader = kind(text)
     try:
-        return _Builder(path, loader).document()
+        return _Builder(path, loader, {}).document()
     except yaml.YAMLError as error:
         problem = str(error).splitlines()[0]
         line = None
@@ -325,14 +325,14 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         loader.dispose()
 
 
+@dataclass
 class _Builder:
     """A builder of JSON-compatible data from YAML events, which never expands an alias."""
 
-    def __init__(self, path: Path, loader: Any) -> None:
-        self.path = path
-        self.loader = loader
-        self.lines: Lines = {}
-        self.values = 0
+    path: Path
+    loader: Any
+    lines: Lines
+    values: int = 0
 
     def document(self) -> tuple[Any, Lines]:
         self._next(yaml.StreamStartEvent)

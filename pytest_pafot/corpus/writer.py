@@ -29,7 +29,6 @@ class CorpusWriteError(RuntimeError):
 
     def __init__(self, path: Path, expected: str, received: str, fix: str) -> None:
         super().__init__(str(FieldError(str(path), expected, received, fix)))
-        self.path = path
 
 
 def write(path: Path, finding: Finding, *, over: bool = False) -> bool:

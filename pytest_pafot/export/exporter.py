@@ -153,15 +153,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|FINDING",
         help="export this saved scenario, given by its file or id",
     )
-    of_to = f"write this format: {', '.join(FORMATS)}"
-    parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
-    of_ads = "drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument"
-    parser.add_argument("--ads", metavar="ADS", help=of_ads)
+    parser.add_argument(
+        "--to",
+        required=True,
+        metavar="FORMAT",
+        help=f"write this format: {', '.join(FORMATS)}",
+    )
+    parser.add_argument(
+        "--ads",
+        metavar="ADS",
+        help="drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument",
+    )
     add_world_arguments(
         parser, "required if the world of the file is code, such as wrappers", has_config=False
     )
-    of_out = "write to this folder (default: the current folder)"
-    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="write to this folder (default: the current folder)",
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

@@ -166,22 +166,23 @@ def _changed_at(file: Path) -> int:
         raise refused("a file that can be read", received, "correct the path") from None
 
 
+@dataclass(eq=False, repr=False)
 class BaselineModel:
     """A loaded model, with the changes that the wrappers of its training made to observations."""
 
-    # `statistics` is a `VecNormalize` without its environments, or None.
-    def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
-        self.observation_space = model.observation_space
-        self.action_space = model.action_space
-        self._model = model
-        self._statistics = statistics
-        self._frame_stack = frame_stack
-        self._deterministic = deterministic
+    model: Any
+    statistics: Any  # a `VecNormalize` without its environments, or None
+    frame_stack: int
+    deterministic: bool
+
+    def __post_init__(self) -> None:
+        self.observation_space = self.model.observation_space
+        self.action_space = self.model.action_space
         # Whether the statistics are for stacked observations.
         self._is_of_stack = (
-            frame_stack > 1
-            and statistics is not None
-            and statistics.observation_space.shape == model.observation_space.shape
+            self.frame_stack > 1
+            and self.statistics is not None
+            and self.statistics.observation_space.shape == self.observation_space.shape
         )
 
     def fits(self, observation_space: Any, action_space: Any) -> bool:
@@ -191,8 +192,8 @@ class BaselineModel:
             return False
         if own.shape is None or other.shape is None:  # a space with several parts
             return bool(own == other)
-        is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
-        return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
+        is_stacked = stacking_axis(other.shape, own.shape, self.frame_stack) is not None
+        return is_stacked and (own.dtype == other.dtype or self.statistics is not None)
 
     def stack(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
         """Return the stacked observations, with a new one added, and the model's input.
@@ -204,37 +205,37 @@ class BaselineModel:
         own = np.asarray(observation, dtype=self.observation_space.dtype)
         if not self._is_of_stack:
             own = self._normalised(own)
-        if self._frame_stack == 1:
+        if self.frame_stack == 1:
             return None, own
-        frames = push_observation(frames, own, self._frame_stack, self.observation_space.shape)
+        frames = push_observation(frames, own, self.frame_stack, self.observation_space.shape)
         if self._is_of_stack:
             return frames, self._normalised(frames)
         return frames, frames
 
     def _normalised(self, observation: Any) -> Any:
-        if self._statistics is None:
+        if self.statistics is None:
             return observation
-        return self._statistics.normalize_obs(observation)
+        return self.statistics.normalize_obs(observation)
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
         """Return the action for an input, and the state of a recurrent model."""
-        action, state = self._model.predict(
+        action, state = self.model.predict(
             seen,
             state=state,
             episode_start=np.array([is_first]),
-            deterministic=self._deterministic,
+            deterministic=self.deterministic,
         )
         return action, state
 
 
+@dataclass(eq=False, repr=False)
 class BaselineAds:
     """An ADS that drives one run with a model."""
 
-    def __init__(self, model: BaselineModel) -> None:
-        self._model = model
-        self._frames: Array | None = None
-        self._state: Any = None
-        self._is_first = True
+    _model: BaselineModel
+    _frames: Array | None = None
+    _state: Any = None
+    _is_first: bool = True
 
     def __call__(self, observation: Any) -> Any:
         """Return the action for the environment."""

@@ -87,6 +87,7 @@ def metadrive(
     return SimulatorWorld(partial(MetaDrive, **own), **given)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class MetaDrive(Simulator):
     """MetaDrive as a simulator, with the arguments of :func:`metadrive`."""
 
@@ -94,18 +95,17 @@ class MetaDrive(Simulator):
     y_is_left = moves_ego_only = one_at_a_time = True
     packages = ("metadrive-simulator", "panda3d")
 
-    def __init__(
-        self,
-        *,
-        map: str,  # noqa: A002
-        lanes: int,
-        observation: Observed | None = None,
-        sensors: Mapping[str, Mapping[str, int]] | None = None,
-        speed_limit: float = 20.0,
-        start_lane: int = 0,
-        start_speed: float | None = None,
-        start_at: float | None = None,
-    ) -> None:
+    map: str
+    lanes: Any
+    observation: Observed | None = None
+    sensors: Mapping[str, Mapping[str, int]] | None = None
+    speed_limit: float = 20.0
+    start_lane: int = 0
+    start_speed: float | None = None
+    start_at: float | None = None
+
+    def __post_init__(self) -> None:
+        self._data = {**vars(self)}
         if version_info >= (3, 12) or find_spec("metadrive") is None:
             received = "no MetaDrive"
             if version_info >= (3, 12):
@@ -116,31 +116,15 @@ class MetaDrive(Simulator):
                 received,
                 f"run `{install('metadrive')}` with Python 3.11",
             )
-        if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
+        if not isinstance(self.map, str) or not self.map or set(self.map) - {"S", "C"}:
             expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'
-            raise WorldError("map", expected, f"{map!r:.100}")
-        if observation not in (None, "lidar", "vehicle"):
+            raise WorldError("map", expected, f"{self.map!r:.100}")
+        if self.observation not in (None, "lidar", "vehicle"):
             expected = 'None (for a planner), "lidar" or "vehicle"'
-            raise WorldError("observation", expected, f"{observation!r:.100}")
-        self._data = {
-            "map": map,
-            "lanes": lanes,
-            "observation": observation,
-            "sensors": sensors,
-            "speed_limit": speed_limit,
-            "start_lane": start_lane,
-            "start_speed": start_speed,
-            "start_at": start_at,
-        }
-        self._map = map
-        self._count = whole_within("lanes", lanes, 1, MOST_LANES)
-        self._observation = observation
-        self._sensors = _check_sensors(sensors)
-        self.native = observation is not None
-        self.speed_limit = speed_limit
-        self.start_lane = start_lane
-        self.start_speed = start_speed
-        self.start_at = start_at
+            raise WorldError("observation", expected, f"{self.observation!r:.100}")
+        self._count = whole_within("lanes", self.lanes, 1, MOST_LANES)
+        self._sensors = _check_sensors(self.sensors)
+        self.native = self.observation is not None
         self._env: Any = None
         self._ego: Any = None
         self._npcs: list[Any] = []
@@ -156,7 +140,7 @@ class MetaDrive(Simulator):
         if self._env is None or not self._env.is_open:
             from pytest_pafot.simulators.metadrive_engine import Env  # noqa: PLC0415  (imports MetaDrive, in 1.5 s)
 
-            self._env = Env(self._map, self._count, self._sensors)
+            self._env = Env(self.map, self._count, self._sensors)
         return self._env
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
@@ -176,7 +160,7 @@ class MetaDrive(Simulator):
             npc.set_position((x, y))
             npc.set_heading_theta(heading)
             npc.set_velocity((math.cos(heading), math.sin(heading)), speed)
-            if self._observation == "vehicle":
+            if self.observation == "vehicle":
                 # finds its lane, which MetaDrive's IDM reads
                 npc.navigation.update_localization(npc)
 
@@ -205,7 +189,7 @@ class MetaDrive(Simulator):
         return wheels / math.radians(vehicle.max_steering), pedal or 1e-6
 
     def observe(self) -> Any:
-        if self._observation == "vehicle":
+        if self.observation == "vehicle":
             return self._ego
         return self._env.observations["default_agent"].observe(self._ego)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -72,6 +73,7 @@ def sumo(
     return SimulatorWorld(make, **world)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Sumo(Simulator):
     """A SUMO network as a simulator, with the arguments of :func:`sumo`.
 
@@ -87,57 +89,53 @@ class Sumo(Simulator):
     headings = "y to x"
     packages = ("libsumo",)
 
-    def __init__(
-        self,
-        *,
-        net: str | None = None,
-        route: Sequence[str] | None = None,
-        lanes: int = 4,
-        speed_limit: float | None = None,
-        hz: int = 20,
-        start_lane: int = 0,
-        start_speed: float | None = None,
-        start_at: float | None = None,
-        digest: str = "",
-    ) -> None:
-        self.hz = hz
-        self.edges = ["road"]
-        self._data: dict[str, Any] = {"hz": hz}
+    net: str | None = None
+    route: Sequence[str] | None = None
+    lanes: Any = 4
+    speed_limit: float | None = None
+    hz: float = 20
+    start_lane: int = 0
+    start_speed: float | None = None
+    start_at: float | None = None
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        self._data: dict[str, Any] = {"hz": self.hz}
         self._states: list[tuple[float, ...]] = []
-        if net is None:
-            self.lanes = lanes
+        if self.net is None:
+            self._data |= {"lanes": self.lanes, "speed_limit": self.speed_limit}
+            self.edges = ["road"]
             self.lane_width = LANE_WIDTH
-            self.speed_limit = 26.8 if speed_limit is None else speed_limit
-            self._data |= {"lanes": lanes, "speed_limit": speed_limit}
+            if self.speed_limit is None:
+                self.speed_limit = 26.8
             return
-        way = Way(net, route)
+        way = Way(self.net, self.route)
         self.edges = way.edges
         self.lanes = way.lines
         self.lane_width = way.width
         self.speed_limit = way.limit
-        if start_lane not in way.starts:
+        if self.start_lane not in way.starts:
             starts = listed([*map(str, way.starts)], "or")
             raise WorldError(
                 "start_lane",
                 f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed",
-                repr(start_lane),
+                repr(self.start_lane),
                 "to use another lane, start the route at a later edge",
             )
-        self.start_lane = start_lane + way.left
-        self.start_speed = start_speed
-        self.start_at = start_at
-        now = hashlib.sha256(Path(net).read_bytes()).hexdigest()[:16]
-        if digest not in ("", now):
+        content = Path(self.net).read_bytes()
+        now = hashlib.sha256(content).hexdigest()[:16]
+        if self.digest not in ("", now):
             fix = "use the network from the commit of the saved scenario, or search again"
-            raise WorldError("net", f"{net} as it was saved", "a changed file", fix)
+            raise WorldError("net", f"{self.net} as it was saved", "a changed file", fix)
         self._data |= {
-            "start_lane": start_lane,
-            "start_speed": start_speed,
-            "start_at": start_at,
-            "net": net,
+            "start_lane": self.start_lane,
+            "start_speed": self.start_speed,
+            "start_at": self.start_at,
+            "net": self.net,
             "digest": now,
             "route": way.edges,
         }
+        self.start_lane += way.left
 
     def to_dict(self) -> dict[str, Any]:
         return self._data

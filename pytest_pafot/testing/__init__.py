@@ -11,7 +11,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from numbers import Real
@@ -187,14 +187,16 @@ class _Run(NamedTuple):
         return np.hypot(*moved.T), by_speed, (course + np.pi) % (2 * np.pi) - np.pi
 
 
+@dataclass
 class _Bench:
     """The experiments with a world's simulator. The declarations in ``other`` replace the simulator's."""
 
-    def __init__(self, world: SimulatorWorld, seed: int) -> None:
-        self.world = world
-        self.seed = seed
-        self.top = world.speed_limit
-        self.real = world.simulators.take()
+    world: SimulatorWorld
+    seed: int
+
+    def __post_init__(self) -> None:
+        self.top = self.world.speed_limit
+        self.real = self.world.simulators.take()
         # Its attributes before the first run, because a method may use a name such as `length` for something else.
         stated = {name: getattr(self.real, name) for name in Simulator.__annotations__}
         self.said: Any = SimpleNamespace(**stated)
