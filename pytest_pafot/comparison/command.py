@@ -99,9 +99,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run a comparison, write a report that quotes ``command``, and return the exit code."""
-    names = tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip())
+    names = map(str.strip, arguments.algorithms.split(","))
     given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
-    plan = Plan(**{**given, "algorithms": names})
+    given["algorithms"] = tuple(filter(None, names))
+    plan = Plan(**given)
     plan.check()
     workers = worker_count(arguments.workers)
     folder = arguments.out
@@ -132,8 +133,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
     finally:
         if rows:  # otherwise, the folder stays free for a corrected command
-            order = sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
-            every = ([row.get(name) for name in COLUMNS] for task in order for row in rows[task])
+            every = []
+            for name in plan.names:
+                for run in range(plan.runs):
+                    found = rows.get((name, run), [])
+                    every += [[row.get(column) for column in COLUMNS] for row in found]
             with written_into(folder):
                 write_whole(path, csv_text(tuple(COLUMNS), every))
     # pandas, scipy and matplotlib are imported only now, because they take seconds.

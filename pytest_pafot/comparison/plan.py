@@ -164,7 +164,8 @@ class Plan:
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
 
     def _entrant(self, name: str) -> Entrant:
-        return Entrant.parse(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+        given = dict(zip(self.names, self.algorithms, strict=True))
+        return Entrant.parse(given.get(name, name))
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
@@ -206,7 +207,8 @@ class Plan:
     def run_seed(self, algorithm: str, run: int) -> int:
         """Return the seed of one run. Seeds differ between algorithms, so all runs are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
-        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
+        digest = hashlib.sha256(text.encode()).digest()
+        return int.from_bytes(digest[:6], "big")
 
     def check(self) -> None:
         """Check that the plan can be run.

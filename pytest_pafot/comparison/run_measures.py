@@ -73,7 +73,8 @@ def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
 
 def horizon(frame: pd.DataFrame) -> float:
     """Return the simulated time [s] of the shortest run. All runs are compared up to this time."""
-    return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
+    clocks = frame.groupby(["algorithm", "run"])["clock"]
+    return float(clocks.max().min())
 
 
 def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
@@ -175,7 +176,8 @@ def a12_interval(estimate: float, first: int, second: int) -> tuple[float, float
     others = (first + second) / 2 - 1
 
     def excess(value: float) -> float:
-        spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
+        spread = 1 + others * (1 - value) / (2 - value)
+        spread += others * value / (1 + value)
         variance = value * (1 - value) * spread / (first * second)
         return float((value - estimate) ** 2 - z**2 * variance)
 
@@ -194,8 +196,8 @@ def fisher_p(first: tuple[int, int], second: tuple[int, int]) -> float:
 
     Each pair contains the number of runs with a failure and the number of all runs.
     """
-    table = np.array([[found, runs - found] for found, runs in (first, second)])
-    return float(scipy.stats.fisher_exact(table).pvalue)
+    table = [[found, runs - found] for found, runs in (first, second)]
+    return float(scipy.stats.fisher_exact(np.array(table)).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:

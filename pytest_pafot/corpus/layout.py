@@ -139,14 +139,16 @@ def link_out(base: Path, root: Path, rootpath: Path) -> Path | None:
 
 def is_inside(path: Path, rootpath: Path) -> bool:
     """Return whether a path is inside the rootdir after all links are followed."""
-    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(rootpath))
+    real = Path(os.path.realpath(path))
+    return real.is_relative_to(os.path.realpath(rootpath))
 
 
 def is_corpus(path: Path, corpus: Path) -> bool:
     """Return whether a folder is a corpus according to the option ``corpus``."""
     if corpus.is_absolute():
         return path == corpus
-    return path.name == corpus.name and path.parts[-len(corpus.parts) :] == corpus.parts
+    end = path.parts[-len(corpus.parts) :]
+    return path.name == corpus.name and end == corpus.parts
 
 
 def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:

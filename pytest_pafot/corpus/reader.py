@@ -68,7 +68,7 @@ XFAIL, REASON = "xfail", "reason"
 """The keys of an accepted failure and of its reason, which needs quotes if it looks like a date."""
 
 _PREFIX = "tag:yaml.org,2002:"
-_PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
+_PLAIN_KINDS = {"null", "bool", "int", "float", "str"}
 _NUMBER_LIKE = re.compile(
     r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)"
 )
@@ -136,7 +136,8 @@ class Field:
         )
 
     def at(self, part: str | int) -> Field:
-        return Field(self.path, self.lines, (*self.place, part), self.value[part])
+        place = (*self.place, part)
+        return Field(self.path, self.lines, place, self.value[part])
 
     def mapping(self, keys: Keys, owner: str = "") -> dict[str, Field]:
         """Return the values of a mapping that can have only these keys. Errors give ``owner`` as the keys' owner."""
@@ -179,7 +180,8 @@ class Field:
 
     def choice(self, options: Collection[str]) -> Any:
         if not isinstance(self.value, str) or self.value not in options:
-            raise self.error(one_of(options), _guess(str(self.value), options, "correct the value"))
+            fix = _guess(str(self.value), options, "correct the value")
+            raise self.error(one_of(options), fix)
         return self.value
 
     def whole(self, low: int = 0, high: float = math.inf) -> int:
@@ -379,7 +381,8 @@ class _Builder:
                 "remove the tag",
             )
         if isinstance(event, yaml.ScalarEvent):
-            return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
+            is_day = place[:-1] == (XFAIL,) and place[-1] != REASON
+            return self._scalar(event, is_day=is_day)
         if len(place) >= DEPTH:
             expected = f"at most {DEPTH} levels of nesting"
             raise self._error(event, expected, "more", "reduce the nesting")
@@ -394,7 +397,7 @@ class _Builder:
         kind = tag.removeprefix(_PREFIX)
         if is_day and kind == "timestamp":
             return str(text)
-        if tag not in _PLAIN_TAGS:
+        if kind not in _PLAIN_KINDS:
             raise self._error(
                 event,
                 "a number, a string, true, false or null",
@@ -520,7 +523,7 @@ _SIMPLE: Mapping[Any, Read] = {
 }
 
 MAX_RECEIVED = 300
-_SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
+_SCENARIO_FIELDS = {"ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
@@ -602,13 +605,16 @@ def _at_the_end_of_links(path: Path) -> Path:
     # another tree, to which build systems such as Bazel link.
     path = path.absolute()
     real = Path(os.path.realpath(path))
-    if real == Path(os.path.realpath(path.parent)) / path.name or real.name.endswith(SUFFIX):
-        if real.is_relative_to(os.path.realpath(path.parents[:3][-1])):
+    own = Path(os.path.realpath(path.parent)) / path.name
+    if real == own or real.name.endswith(SUFFIX):
+        *_, root = path.parents[:3]
+        if real.is_relative_to(os.path.realpath(root)):
             return real
         if path.is_symlink() and real.parts[-4:] == path.parts[-4:]:
             return real
     for above in path.parents:
-        if real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")):
+        store = os.path.realpath(above / ".git" / "annex" / "objects")
+        if real.is_relative_to(store):
             return real
     fix = "replace the link with the file itself, or delete the link"
     raise CorpusError(path, "a file inside the corpus", "a link to a file outside it", fix)
@@ -680,7 +686,8 @@ def _build(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T
 
 @cache
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    return get_origin(kind), tuple(each for each in get_args(kind) if each is not NoneType)
+    inner = [each for each in get_args(kind) if each is not NoneType]
+    return get_origin(kind), tuple(inner)
 
 
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
@@ -694,7 +701,8 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     if origin is Literal:
         return field.choice(inner)
     if origin is Mapping:
-        return {key: _value(each, inner[1], own) for key, each in field.any_mapping().items()}
+        fields = field.any_mapping()
+        return {key: _value(each, inner[1], own) for key, each in fields.items()}
     if kind == tuple[float, float]:
         if len(field.items()) != 2:
             raise field.error("acceleration [m/s^2] and steering [rad]")
@@ -735,9 +743,12 @@ def _kind_of(field: Field) -> type[Instruction]:
 def _scenario(field: Field) -> Scenario:
     fields = field.mapping(SCENARIO)
     ego = fields.pop("ego").mapping(EGO)
-    names = tuple(f"NPC {npc}" for npc in range(len(fields["npcs"].any_mapping())))
+    count = len(fields["npcs"].any_mapping())
+    names = tuple(f"NPC {npc}" for npc in range(count))
     npcs = fields["npcs"].mapping(Keys(names))
-    vehicles = fields["vehicles"].mapping(Keys((), names)) if "vehicles" in fields else {}
+    vehicles = {}
+    if "vehicles" in fields:
+        vehicles = fields["vehicles"].mapping(Keys((), names))
     values = {
         "npcs": tuple(_value(npcs[name], Chromosome, {}) for name in names),
         "seed": fields["seed"].whole(),
@@ -831,7 +842,8 @@ def _rate(field: Field) -> FailureRate:
 
 def _perceived(field: Field) -> Sight:
     fields = field.mapping(Keys((), tuple(types_of(Sight))))
-    return _build(field, Sight, {name: inner.value for name, inner in fields.items()})
+    values = {name: inner.value for name, inner in fields.items()}
+    return _build(field, Sight, values)
 
 
 class Saved(NamedTuple):
@@ -885,7 +897,8 @@ def named_file(given: str) -> Path:
     path = Path(given)
     if path.is_file():
         return path
-    name = given.rpartition("[")[2].removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
+    _, _, name = given.rpartition("[")
+    name = name.removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
     files = {file: file.name.removesuffix(SUFFIX) for file in files_below(Path())}
     found = [file for file, other in files.items() if other == name]
     if len(found) == 1:
@@ -893,7 +906,9 @@ def named_file(given: str) -> Path:
     received = "no such file or id"
     fix = f"`{command('pytest_pafot', 'corpus', 'list')}` lists the files"
     names = list(dict.fromkeys(files.values()))
-    near = [each for each in names if name in each] or difflib.get_close_matches(name, names)
+    near = [each for each in names if name in each]
+    if not near:
+        near = difflib.get_close_matches(name, names)
     if found:
         received = f"an id that occurs in {len(found)} files"
         fix = f"give one of the files: {', '.join(map(str, found))}"

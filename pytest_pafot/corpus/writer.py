@@ -131,12 +131,12 @@ def text_of(finding: Finding) -> str:
     test = _quoted(finding.test)
     if _is_plain(finding.test, also=":[],"):  # not inside brackets
         test = finding.test
-    found = {name: value for name, value in asdict(finding.found).items() if value is not None}
+    found = asdict(finding.found).items()
     # People read these files in pull requests, so the scenario and its expected result come first.
     lines = [f"pafot: {VERSION}"]
     lines += _scenario_lines(finding.scenario)
     lines += _expect_lines(finding.expect)
-    lines += _filled("found: ", found)
+    lines += _filled("found: ", {name: value for name, value in found if value is not None})
     if finding.perception is not None:
         lines += _filled("perception: ", finding.perception.imperfections)
     if finding.shrunk is not None:
@@ -171,9 +171,9 @@ def scenario_data(scenario: Scenario) -> dict[str, Any]:
             vehicles[f"NPC {npc}"] = vehicle.plain()
     if vehicles:
         fields["vehicles"] = vehicles
-    fields["npcs"] = {
-        f"NPC {npc}": [each.in_file() for each in chain] for npc, chain in enumerate(scenario.npcs)
-    }
+    chains = fields["npcs"] = {}
+    for npc, chain in enumerate(scenario.npcs):
+        chains[f"NPC {npc}"] = [each.in_file() for each in chain]
     return fields
 
 
@@ -218,7 +218,8 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
 def _fits_literal(text: str) -> bool:
     # YAML reads a literal block unchanged only if all of this is true.
     lines = text.removesuffix("\n").split("\n")
-    if "\n" not in text or any(not line.replace("\t", "").isprintable() for line in lines):
+    is_printable = all(line.replace("\t", "").isprintable() for line in lines)
+    if "\n" not in text or not is_printable:
         return False
     return all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
 
@@ -229,38 +230,34 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
     if not value:
         return [head + _flow(value) + tail]
     opening, closing = "[]"
-    entries: list[tuple[str, Any]] = []
+    entries = [("", each) for each in value]
     if isinstance(value, Mapping):
         opening, closing = "{}"
-        for key, each in value.items():
-            entries.append((f"{_scalar(key)}: ", each))
-    else:
-        entries = [("", each) for each in value]
+        entries = [(f"{_scalar(key)}: ", each) for key, each in value.items()]
     inner = column + len(head) + 1
-    lines = [head + opening]
-    # The column after the last line, whose indentation is missing while it is the first one.
-    at = inner
+    # The first line is indented for now, so that the length of each line is its last column.
+    lines = [" " * column + head + opening]
     # A value that is too long for its line is wrapped by this function, below its own first entry. The entry after it
     # starts a new line.
     is_broken = False
     for index, (start, each) in enumerate(entries, 1):
         end = closing + tail if index == len(entries) else ","
-        parts = [start + _flow(each) + end]
-        is_whole = inner + len(parts[0]) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
-        if not is_whole:
-            parts = _filled(start, each, end, inner)
-        first, *others = parts
+        first = start + _flow(each) + end
+        others: list[str] = []
+        is_whole = True
+        if inner + len(first) > WIDTH and isinstance(each, (Mapping, list, tuple)):
+            is_whole = False
+            first, *others = _filled(start, each, end, inner)
+        has_room = len(lines[-1]) + 1 + len(first) <= WIDTH
         if index == 1:
             lines[0] += first
-            at += len(first)
-        elif is_whole and not is_broken and at + 1 + len(first) <= WIDTH:
+        elif is_whole and not is_broken and has_room:
             lines[-1] += f" {first}"
-            at += 1 + len(first)
         else:
             lines.append(" " * inner + first)
-            at = inner + len(first)
         lines += others
         is_broken = bool(others)
+    lines[0] = lines[0].removeprefix(" " * column)
     return lines
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -36,15 +36,21 @@ def states_of(trace: Trace) -> FloatArray:
 
 def centre_line(lane: Lane) -> FloatArray:
     """Return the points [m] of a lane's centre line, with y to the left, as an array of shape [points, 2]."""
-    # A straight lane has two points.
-    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    line: FloatArray = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
+    points = lane.points
+    if not points:  # a straight lane
+        end_x = lane.x + lane.length * np.cos(lane.heading)
+        end_y = lane.y + lane.length * np.sin(lane.heading)
+        points = ((lane.x, lane.y), (end_x, end_y))
+    line: FloatArray = np.array(points) * (1, -1)
     # On a closed track, a run may follow the lane for several laps. The line is cut to one lap, because tools would
     # treat a line that passes the same position twice as a loop, and remove it.
-    pieces, to_start = np.diff(line, axis=0), line[0] - line[:-1]
+    pieces = np.diff(line, axis=0)
+    to_start = line[0] - line[:-1]
     share = (to_start * pieces).sum(axis=1) / (pieces**2).sum(axis=1)
-    beside = np.hypot(*(to_start - share[:, None] * pieces).T)
-    passes = (share > 0) & (share <= 1) & (beside < lane.width / 2) & (pieces @ pieces[0] > 0)
+    off = to_start - share[:, None] * pieces
+    is_close = np.hypot(*off.T) < lane.width / 2
+    is_ahead = pieces @ pieces[0] > 0
+    passes = (share > 0) & (share <= 1) & is_close & is_ahead
     if passes.any():
         return line[: passes.argmax() + 1]
     return line
@@ -52,8 +58,10 @@ def centre_line(lane: Lane) -> FloatArray:
 
 def tangents(line: FloatArray) -> FloatArray:
     """Return a line's unit tangents, from second-order differences, as an array of shape [points, 2]."""
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-    slopes: FloatArray = np.gradient(line, along, axis=0, edge_order=2 if len(line) > 2 else 1)
+    lengths = np.hypot(*np.diff(line, axis=0).T)
+    along = np.cumsum([0.0, *lengths])
+    order: Any = min(2, len(line) - 1)
+    slopes = np.gradient(line, along, axis=0, edge_order=order)
     unit: FloatArray = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
     return unit
 
@@ -61,7 +69,8 @@ def tangents(line: FloatArray) -> FloatArray:
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
     """Return the points [m] of a lane's left and right edges, with y to the left, as arrays of shape [points, 2]."""
     line = centre_line(lane)
-    left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
+    quarter_turn = np.array([[0, 1], [-1, 0]])
+    left = tangents(line) @ quarter_turn * lane.width / 2
     return line + left, line - left
 
 
@@ -139,10 +148,11 @@ COLUMNS = (
 def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """Return a CSV file whose numbers have all digits, so that reading the file restores the exact states."""
     rows = []
+    sizes = trace.sizes.tolist()
     for time, states in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
         for number, state in enumerate(states):
-            lane = int(state[LANE])
-            rows.append([time, name_of(number), *state[:LANE], lane, *trace.sizes[number].tolist()])
+            state[LANE] = int(state[LANE])
+            rows.append([time, name_of(number), *state, *sizes[number]])
     return {f"{finding.id}.csv": csv_text(COLUMNS, rows).encode()}
 
 

@@ -74,7 +74,8 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
             told = []
             for number, state in enumerate(states):
                 boxes.append(_box(number, trace, state, at))
-                told.append({"name": name_of(number), **dict(zip(NUMBERS, state, strict=True))})
+                values = zip(NUMBERS, state, strict=True)
+                told.append({"name": name_of(number), **dict(values)})
             vehicles.log(SceneUpdate(entities=boxes), log_time=at)
             numbers.log({"time": time, "vehicles": told}, log_time=at)
     return {f"{finding.id}.mcap": content.getvalue()}
@@ -87,7 +88,12 @@ def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:
     cube = CubePrimitive(
         pose=Pose(
             position=Vector3(x=x, y=y, z=HEIGHT / 2),
-            orientation=Quaternion(x=0, y=0, z=math.sin(heading / 2), w=math.cos(heading / 2)),
+            orientation=Quaternion(
+                x=0,
+                y=0,
+                z=math.sin(heading / 2),
+                w=math.cos(heading / 2),
+            ),
         ),
         size=Vector3(x=length, y=width, z=HEIGHT),
         color=NPC if number else EGO,

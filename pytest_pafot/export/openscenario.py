@@ -84,13 +84,14 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
         chord = end - start
         length = math.hypot(*chord)
         # In the coordinates of the piece, the start is at the origin, and the first direction is ahead.
-        turned = np.array([first, (-first[1], first[0])])
+        sideways = (-first[1], first[0])
+        turned = np.array([first, sideways])
         to = turned @ chord
         leaving = np.array([length, 0.0])
         entering = turned @ last * length
-        c = 3 * to - 2 * leaving - entering
-        d = leaving + entering - 2 * to
-        cubic = xodr.ParamPoly3(0, length, c[0], d[0], 0, 0, c[1], d[1])
+        c_x, c_y = 3 * to - 2 * leaving - entering
+        d_x, d_y = leaving + entering - 2 * to
+        cubic = xodr.ParamPoly3(0, length, c_x, d_x, 0, 0, c_y, d_y)
         yield cubic, start, math.atan2(first[1], first[0])
 
 
@@ -158,8 +159,8 @@ def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
     # The middle of a vehicle's rear axle at each tick.
     heading = states[:, HEADING]
-    back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    positions = states[:, [X, Y]] - back
+    forwards = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    positions = states[:, [X, Y]] - REAR_AXLE * length * forwards
     rows = zip(positions.tolist(), heading.tolist(), strict=True)
     return [xosc.WorldPosition(x, y, 0, angle) for (x, y), angle in rows]
 

@@ -248,7 +248,9 @@ class BaselineAds:
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
     """Return the axis along which ``count`` arrays of the shape ``one`` form the shape ``stacked``, or None."""
     for axis in range(len(one)):
-        if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
+        shape = [*one]
+        shape[axis] *= count
+        if shape == [*stacked]:
             return axis
     return None
 
@@ -293,7 +295,8 @@ def _missing_statistics(file: Path) -> str:
     # No file names the wrappers that were used in training. But `learn` stores in the zip the last observations from
     # before VecNormalize, or None without VecNormalize. Algorithms with a replay buffer always store observations, so
     # for them this is no evidence.
-    beside = [*sorted(file.parent.glob("*.pkl")), *sorted(file.with_suffix("").glob("*.pkl"))]
+    beside = sorted(file.parent.glob("*.pkl"))
+    beside += sorted(file.with_suffix("").glob("*.pkl"))
     found = next(filter(_is_statistics, beside), None)
     zipped = _parameters(file)
     name = "statistics.pkl"

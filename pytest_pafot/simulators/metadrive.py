@@ -219,24 +219,21 @@ def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     checked: dict[str, dict[str, int]] = {"lidar": {"num_others": 4}}
     if not sensors:
         return checked
-    if not isinstance(sensors, Mapping):
-        raise _refused_sensors(sensors)
-    for name, given in sensors.items():
+    items = [("sensors", sensors)]  # rejected below, unless it is a mapping
+    if isinstance(sensors, Mapping):
+        items = [*sensors.items()]
+    for name, given in items:
         most = {"num_lasers": 1000, "distance": 1000}
         if name == "lidar":
             most["num_others"] = 8
         if name not in DETECTORS or not isinstance(given, Mapping) or set(given) - set(most):
-            raise _refused_sensors(sensors)
+            names = ", ".join(DETECTORS)
+            expected = f"only num_lasers and distance for {names}, and num_others for lidar"
+            raise WorldError("sensors", expected, f"{sensors!r:.100}")
         values = checked.setdefault(name, {})
         for key, value in given.items():
             values[key] = whole_within(f"sensors.{name}.{key}", value, 0, most[key])
     return checked
-
-
-def _refused_sensors(sensors: object) -> WorldError:
-    names = ", ".join(DETECTORS)
-    expected = f"only num_lasers and distance for {names}, and num_others for lidar"
-    return WorldError("sensors", expected, f"{sensors!r:.100}")
 
 
 class Expert:
@@ -249,7 +246,9 @@ class Expert:
         x = np.array(seen)
         x[[10, 15]] = 1 - x[[10, 15]]  # it was trained with other axes
         (first, one), (second, two), (last, out) = self._layers
-        x = np.tanh(np.tanh(x @ first + one) @ second + two) @ last + out
+        x = np.tanh(x @ first + one)
+        x = np.tanh(x @ second + two)
+        x = x @ last + out
         return tuple(x[:2].tolist())
 
 

@@ -141,7 +141,7 @@ class Sumo(Simulator):
         return self._data
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        self._states = [(each.x, each.y, each.heading, each.speed) for each in vehicles]
+        self.step(vehicles)
 
     def step(self, controls: Sequence[Any]) -> None:
         self._states = [(each.x, each.y, each.heading, each.speed) for each in controls]
@@ -194,7 +194,8 @@ class Way:
         other = max(columns.values(), key=_length)[0].getEdge()
         if other is not start:
             after = other.getID()
-            raise self._refused(
+            raise WorldError(
+                "route",
                 "a route on which the longest lane starts in the first edge",
                 f"{self.edges[0]!r}, whose lanes end before the lanes that start in {after!r}",
                 f"start the route with another edge, such as {after!r}",
@@ -203,9 +204,6 @@ class Way:
         lanes = [lane for edge in self._edges for lane in self._cars(edge)]
         self.limit = min(float(lane.getSpeed()) for lane in lanes)
 
-    def _refused(self, expected: str, received: str, fix: str) -> WorldError:
-        return WorldError("route", expected, received, fix)
-
     def _ends(self) -> list[str]:
         # The only possible route.
         edges = self._edges_for_cars()
@@ -213,7 +211,8 @@ class Way:
         last = [each.getID() for each in edges if not each.getOutgoing()]
         if len(first) != 1 or len(last) != 1:
             some = ", ".join(repr(each.getID()) for each in edges[:6])
-            raise self._refused(
+            raise WorldError(
+                "route",
                 "the edges of the ego's route, because this network has more than one route",
                 "None",
                 f"write route=[first, last] with edges such as {some}",
@@ -231,7 +230,7 @@ class Way:
             if not self._net.hasEdge(name) or not self._cars(self._net.getEdge(name)):
                 near = ", ".join(each.getID() for each in self._edges_for_cars()[:6])
                 fix = f"use edges such as {near}"
-                raise self._refused("edges for passenger cars", repr(name), fix)
+                raise WorldError("route", "edges for passenger cars", repr(name), fix)
             edge = self._net.getEdge(name)
             if not edges:
                 edges = [edge]
@@ -241,7 +240,7 @@ class Way:
             if not found:
                 received = f"{edges[-1].getID()!r} and {name!r}, which are not connected"
                 expected = "edges that are connected in this order"
-                raise self._refused(expected, received, "omit one of them")
+                raise WorldError("route", expected, received, "omit one of them")
             edges += found[1:]
         return edges
 
@@ -255,7 +254,8 @@ class Way:
         # next edge if they are connected, and if most lanes move as many positions to the left or right. If two pieces
         # have the same number, the shorter one is omitted.
         shift = 0
-        parts = {number: [[lane]] for number, lane in enumerate(self._cars(self._edges[0]))}
+        first = self._cars(self._edges[0])
+        parts = {number: [[lane]] for number, lane in enumerate(first)}
         for before, after in pairwise(self._edges):
             old = self._cars(before)
             new = self._cars(after)
@@ -266,7 +266,8 @@ class Way:
             ]
             # The number of positions that most lanes move to the right from one edge to the next.
             moves = [there - here for here, there, _ in joined]
-            move = max(sorted(set(moves), key=abs), key=moves.count)
+            smallest_first = sorted(set(moves), key=abs)
+            move = max(smallest_first, key=moves.count)
             shift -= move
             via = {there: each for here, there, each in joined if there - here == move}
             # Continue each lane, or start a new piece if nothing leads to it.

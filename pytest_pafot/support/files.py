@@ -213,7 +213,9 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 def _open_in_place(path: str, flags: int) -> int:
     # Do not follow a link, and do not wait for the writer of a pipe. Windows has neither of these flags.
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    for name in ("O_NOFOLLOW", "O_NONBLOCK"):
+        flags |= getattr(os, name, 0)
+    return os.open(path, flags, 0o666)
 
 
 def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:
@@ -333,7 +335,8 @@ def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
             is_shallow = git(root, "rev-parse", "--is-shallow-repository").strip() == "true"
             commit = day = parents = ""
             # The newest commit is first.
-            for part in git(root, *log, str(folder.resolve())).split("\0"):
+            output = git(root, *log, str(folder.resolve()))
+            for part in output.split("\0"):
                 name = part.removeprefix("\n")
                 if part.startswith("\1"):
                     commit, day, parents = part.removeprefix("\1").split(" ", 2)

@@ -270,9 +270,14 @@ class _Replaced:
             leave()
 
     def _put_aside(self) -> None:
-        own = [each for each in _OWN if vars(each[0]).get(each[1]) is not each[2]]
+        own = []
+        replaced = []
+        for owner, name, value in _OWN:
+            now = vars(owner).get(name)
+            if now is not value:
+                own.append((owner, name, value))
+                replaced.append((owner, name, now))
         if own:
-            replaced = [(owner, name, vars(owner).get(name)) for owner, name, _ in own]
             self._back.append(lambda: _put(replaced))
         # pyfakefs replaces functions in every module, also in modules that are imported in the meantime.
         faked = getattr(sys.modules.get("pyfakefs.fake_filesystem_unittest"), "Patcher", None)
@@ -334,7 +339,8 @@ def cpu_limits(root: Path) -> Iterator[list[int]]:
     """Yield the numbers in each ``cpu.max`` file that limits this process's cgroup or a parent cgroup."""
     groups: list[PurePosixPath] = []
     with suppress(OSError):
-        for line in os.fsdecode((root / "proc/self/cgroup").read_bytes()).splitlines():
+        content = (root / "proc/self/cgroup").read_bytes()
+        for line in os.fsdecode(content).splitlines():
             if line.startswith("0::/"):
                 own = PurePosixPath(line.removeprefix("0::/"))
                 groups += (own, *own.parents)

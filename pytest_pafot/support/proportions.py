@@ -54,7 +54,8 @@ def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bo
     """Return whether the first policy hits more of the same trials than the second, or None if that is unclear."""
     # Wald's sequential test, so that clear cases end early. Of the trials that only one policy hits, the first hits
     # half if both are equal, and WORSE if it is clearly worse. After the last trial, the exact sign test decides.
-    evidence = first_only * math.log(2 * WORSE) + second_only * math.log(2 * (1 - WORSE))
+    for_first = first_only * math.log(2 * WORSE)
+    evidence = for_first + second_only * math.log(2 * (1 - WORSE))
     if not _EVEN < evidence < _UNEVEN:
         return evidence > 0
     if not is_last or first_only + second_only < FEWEST:
@@ -76,8 +77,10 @@ def holm(p_values: Sequence[float]) -> list[float]:
     # The probability of any false positive is then as low as in a single test.
     adjusted = [*p_values]
     least = 0.0
-    for rank, index in enumerate(sorted(range(len(adjusted)), key=p_values.__getitem__)):
-        least = max(least, min(1.0, (len(adjusted) - rank) * p_values[index]))
+    order = sorted(range(len(adjusted)), key=p_values.__getitem__)
+    for rank, index in enumerate(order):
+        p = min(1.0, (len(order) - rank) * p_values[index])
+        least = max(least, p)
         adjusted[index] = least
     return adjusted
 

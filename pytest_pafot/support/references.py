@@ -92,7 +92,8 @@ def imported(reference: str) -> ModuleType:
         ):
             received = f" ({type(error).__name__}: {error})"
             way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
-            path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
+            path = os.path.relpath(module_name.removesuffix(".py") or ".")
+            path = path.replace(os.sep, ".")
             # otherwise, it is not a path, or not below this folder
             if path != module_name and not path.startswith("."):
                 way_out = f"Write {path}:{name}"
@@ -275,7 +276,9 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
     # the file was broken after its import; its hash has changed in any case
     except (SyntaxError, ValueError):
         return
-    package = source.name if source.file.stem == "__init__" else source.name.rpartition(".")[0]
+    package = source.name
+    if source.file.stem != "__init__":
+        package, _, _ = source.name.rpartition(".")
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]

@@ -34,7 +34,10 @@ def _escaped(character: str) -> str:
 
 def visible_lines(text: str) -> str:
     """Escape a string as :func:`visible` does, but keep line breaks and tabs."""
-    return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
+    # The separators are kept, too, as the odd parts.
+    parts = re.split(r"([\n\t])", text)
+    parts[::2] = map(visible, parts[::2])
+    return "".join(parts)
 
 
 def ascii_text(text: str) -> str:
@@ -88,7 +91,8 @@ def plural(count: int, noun: str) -> str:
 
 def listed(texts: Sequence[str], last: str = "and") -> str:
     """Join strings as in ``a, b and c``."""
-    return f" {last} ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
+    head = ", ".join(texts[:-1])
+    return f" {last} ".join(filter(None, [head, *texts[-1:]]))
 
 
 def suggest(name: object, known: Iterable[str]) -> str:
@@ -208,7 +212,9 @@ def plain(text: str) -> str:
 def code(text: str) -> str:
     """Format a string as code in Markdown."""
     line = _one_line(text)
-    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    fence = "`"
+    while fence in line:
+        fence += "`"
     if line.startswith("`") or line.endswith("`"):
         line = f" {line} "
     return f"{fence}{line or ' '}{fence}"
@@ -223,7 +229,10 @@ def _one_line(text: str) -> str:
 
 def json_in_script(plain: str) -> str:
     """Return equivalent JSON that is safe inside a ``<script>`` element."""
-    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    line = quiet_json(plain)
+    for character in "<>&":
+        line = line.replace(character, f"\\u{ord(character):04x}")
+    return line
 
 
 def content_hash(content: str) -> str:

@@ -108,8 +108,9 @@ def check_world(
             warnings.warn(f"check_world: {note}", RuntimeWarning, stacklevel=2)
         world = replace(world, duration=min(world.duration, LONGEST))
     # Then random scenarios, with vehicles of all types that can follow the road.
-    given: dict[str, Any] = {"vehicles": tuple(filter(world.can_drive, READY.values())), **space}
-    within = world.space({**drawn_space(world, given), **given})
+    vehicles = tuple(filter(world.can_drive, READY.values()))
+    given: dict[str, Any] = {"vehicles": vehicles, **space}
+    within = world.space(drawn_space(world, given) | given)
     rng = rng_of(seed)
     done = []
     for _ in range(runs):
@@ -181,10 +182,13 @@ class _Run(NamedTuple):
         rows = self.states[:, number]
         moved = np.diff(rows[:, :2], axis=0)
         # A vehicle moves in the direction of its heading halfway through the tick.
-        _, _, heading, speed = (rows[1:] + rows[:-1]).T / 2
-        course = np.arctan2(moved[:, 1], moved[:, 0]) - heading
-        by_speed = np.abs(speed) * self.dt
-        return np.hypot(*moved.T), by_speed, (course + np.pi) % (2 * np.pi) - np.pi
+        middle = (rows[1:] + rows[:-1]) / 2
+        course = np.arctan2(moved[:, 1], moved[:, 0]) - middle[:, 2]
+        return (
+            np.hypot(*moved.T),
+            np.abs(middle[:, 3]) * self.dt,
+            (course + np.pi) % (2 * np.pi) - np.pi,
+        )
 
 
 @dataclass
@@ -338,7 +342,8 @@ class _Bench:
         along = ahead + start
         at = min(int(np.searchsorted(ends, along)), len(steps) - 1)
         dx, dy = steps[at]
-        x, y = line[at + 1] + steps[at] * (along - ends[at]) / np.hypot(dx, dy)
+        beyond = along - ends[at]
+        x, y = line[at + 1] + steps[at] * beyond / np.hypot(dx, dy)
         has_room = 10.0 < along < ends[-1] - 60.0
         return (float(x), float(y), math.atan2(dy, dx)), has_room
 
@@ -372,9 +377,12 @@ class _Bench:
         alone = self.drive(crowd[:1], COAST, coast, **other)
         yield from self.moves(run, is_steady=True)
         ends = np.array([alone.states[-1, 0], run.states[-1, 0]])
-        far = np.abs(ends[1] - ends[0])[[0, 1, 3]].max()
-        received = " and ".join(f"x = {x:.1f} m, y = {y:.1f} m, {v:.1f} m/s" for x, y, _, v in ends)
-        yield far <= AWAY, "the ego moves in the same way alone and near other vehicles", received
+        far = np.abs(ends[1] - ends[0])
+        yield (
+            far[[0, 1, 3]].max() <= AWAY,
+            "the ego moves in the same way alone and near other vehicles",
+            " and ".join(f"x = {x:.1f} m, y = {y:.1f} m, {v:.1f} m/s" for x, y, _, v in ends),
+        )
         # Experiments 2 to 5: accelerate and brake, and turn to both sides.
         for name, control, speed, seconds in (
             ("acceleration", gas, fast, GAS),
@@ -386,7 +394,8 @@ class _Bench:
                 yield from self.obeys(run, name)
         yield from self.turns(run, other.get("reference", self.said.reference))
         # Experiment 6: stop, wait, and drive on.
-        run = self.drive(self.spots(min(8.0, self.top)), STOP, stop, **other)
+        spots = self.spots(min(8.0, self.top))
+        run = self.drive(spots, STOP, stop, **other)
         for number, speeds in enumerate(run.states[..., 3].T):
             stood = speeds[round(STAND / run.dt)]
             last = speeds[-1]
@@ -399,7 +408,8 @@ class _Bench:
     def moves(self, run: _Run, *, is_steady: bool = False) -> Promises:
         # Promises that vehicles start in the requested states, and move along their headings at their stated speeds.
         # The start.
-        off = np.abs(run.states[0] - run.model[0]) > [most for _, most in STARTS]
+        most = [largest for _, largest in STARTS]
+        off = np.abs(run.states[0] - run.model[0]) > most
         first = int(off.any(axis=1).argmax())
         asked = ", ".join(f"{each:.2f}" for each in run.model[0, first])
         received = ", ".join(f"{each:.2f}" for each in run.states[0, first])
@@ -436,9 +446,9 @@ class _Bench:
             # The direction. A vehicle with turned wheels slips, so it may differ from the heading in a turn.
             *_, turned, gained = (rows[-1] - rows[0]).tolist()
             away = float(course[-1])
-            most = STEADY if is_steady else SLIP[0] * abs(turned) + SLIP[1]
+            slip = STEADY if is_steady else SLIP[0] * abs(turned) + SLIP[1]
             yield (
-                abs(away) <= most,
+                abs(away) <= slip,
                 "a vehicle moves in the direction of its heading, given headings, y_is_left and degrees",
                 f"{math.degrees(away):.0f} degrees off for {who}, whose heading turned by {turned:.2f} rad",
             )
@@ -459,8 +469,9 @@ class _Bench:
         asked = (run.model[1:] - run.states[:-1])[..., column]
         # A lagging drivetrain needs time, so only the last part counts.
         since = int(SETTLED * len(asked))
+        total = done[since:].sum(axis=0)
         # [vehicle, whose control]
-        parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(axis=0)
+        parts = total[:, None] / asked[since:].sum(axis=0)
         for number, part in enumerate(np.diag(parts).tolist()):
             self.facts.setdefault(name, part)
             is_kept = least <= part <= most
@@ -478,7 +489,8 @@ class _Bench:
                 received,
             )
             # Late or partial effects are allowed, with a note.
-            ticks = float(done[:, number].sum() / (part * asked[:, number].mean()))
+            each_tick = part * asked[:, number].mean()
+            ticks = float(done[:, number].sum() / each_tick)
             late = run.dt * (len(done) - ticks)
             found = []
             if part < whole:
@@ -500,8 +512,9 @@ class _Bench:
 
     def turns(self, run: _Run, reference: str) -> Promises:
         # Promises that vehicles turn about a point near their rear axles. The longer of two vehicles must turn less.
+        asked = (run.model[1:] - run.states[:-1])[..., 2]
         turned = run.states[-1, :, 2] - run.states[0, :, 2]
-        parts = turned / (run.model[1:] - run.states[:-1])[..., 2].sum(axis=0)
+        parts = turned / asked.sum(axis=0)
         shares = dict(zip(run.lengths, parts.tolist(), strict=True))
         short = min(shares)
         long = max(shares)
@@ -515,7 +528,8 @@ class _Bench:
             # a step may use the heading before or after it
             spare = run.states[-1, number, 3] * run.dt / 2 / length
             # The slip gives the distance between the point that the vehicle turns about and the centre of its box.
-            behind = float((driven * np.sin(course)).sum() / turned[number] / length)
+            slip = (driven * np.sin(course)).sum()
+            behind = float(slip / turned[number] / length)
             is_ahead = behind + spare < CENTRE[0]
             yield (
                 behind - spare <= CENTRE[1] and not (is_ahead and reference == "front"),
@@ -531,25 +545,31 @@ class _Bench:
         asked = run.model[0]
         got = run.states[0]
         # Another order of the vehicles.
-        far = np.hypot(*(asked[:, None, :2] - got[None, :, :2]).T)  # [states, asked]
+        apart = asked[:, None, :2] - got[None, :, :2]
+        far = np.hypot(*apart.T)  # [states, asked]
         order = {*far.argmin(axis=1).tolist()}
-        if len(order) == len(far) and far.min(axis=1).max() < 0.3 < far.diagonal().max():
+        nearest = far.min(axis=1).max()
+        if len(order) == len(far) and nearest < 0.3 < far.diagonal().max():
             return "; states() returns the vehicles in another order than start received them (the ego first)"
         # Another point of reference: all are shifted along their headings.
-        forwards = np.stack([np.cos(asked[:, 2]), np.sin(asked[:, 2])], axis=1)
+        heading = asked[:, 2]
+        forwards = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         ahead = ((got - asked)[:, :2] * forwards).sum(axis=1)
-        is_half = np.abs(np.abs(ahead) - np.array(run.lengths) / 2).max() < 0.1
-        if is_half or (np.ptp(ahead) < 0.1 and 0.2 < abs(ahead[0]) < 6.0):
+        halves = np.array(run.lengths) / 2
+        is_half = np.abs(np.abs(ahead) - halves).max() < 0.1
+        is_one = np.ptp(ahead) < 0.1 and 0.2 < abs(ahead[0]) < 6.0
+        if is_half or is_one:
             side = "ahead of" if ahead[0] > 0 else "behind"
             shift = f"{abs(ahead[0]):.2f} m {side} the requested positions"
             return f"; states() returns vehicles {shift}. Both use the point of reference, {self.said.reference!r}"
         # Mirrored or scaled lanes.
         across = asked[:, 1]
+        lanes = got[:, 1]
         most = across.max()
-        if np.abs(got[:, 1] - (most - across)).max() < 0.1:
+        if np.abs(lanes - (most - across)).max() < 0.1:
             return "; its lanes are counted from the right, but lane 0 is the leftmost"
-        share = float(got[across.argmax(), 1] / (most or 1.0))
-        is_scaled = np.abs(got[:, 1] - share * across).max() < 0.1 < most
+        share = float(lanes[across.argmax()] / (most or 1.0))
+        is_scaled = np.abs(lanes - share * across).max() < 0.1 < most
         if self.is_plain and round(share, 2) != 1 and is_scaled:
             return f"; its lanes are {share:.4g} times as wide as lane_width"
         return ""
@@ -562,7 +582,8 @@ class _Bench:
         causes: list[dict[str, Any]] = []
         for values in product(*AXES.values()):
             axes = dict(zip(AXES, values, strict=True))
-            causes.append({name: axes[name] for name in AXES if axes[name] != getattr(real, name)})
+            other = {k: value for k, value in axes.items() if value != getattr(real, k)}
+            causes.append(other)
         causes = sorted(filter(None, causes), key=len)
         # Then try other units, which follow from the measured ratio. Usual units come first.
         driven = facts.get("driven", 1.0)
@@ -595,11 +616,11 @@ class _Bench:
 
     def check_repetition(self) -> None:
         # Equal starts must give equal runs, regardless of earlier runs, and also in a new simulator.
-        run = self.drive(
-            self.spots(0.8 * self.top),
-            GAS,
-            lambda number, time, _: ((-1) ** number * (1 - time), 0.02 * math.sin(time + number)),
-        )
+        def weave(number: int, time: float, _: Any) -> tuple[float, float]:
+            gas = (-1) ** number * (1 - time)
+            return gas, 0.02 * math.sin(time + number)
+
+        run = self.drive(self.spots(0.8 * self.top), GAS, weave)
         first = self.again(run)
         self.again(run, 2, self.seed + 1)
         promise = "the same start with the same seed gives the same run, to the last bit"
@@ -638,7 +659,8 @@ class _Bench:
 def _oddness(unit: tuple[str, float]) -> float:
     # The smallest relative difference from a usual unit.
     _, value = unit
-    return round(min(abs(value / usual - 1) for usual in (1.0, *UNITS.values())), 2)
+    differences = [abs(value / usual - 1) for usual in (1.0, *UNITS.values())]
+    return round(min(differences), 2)
 
 
 def _check_same(first: FloatArray, again: FloatArray, dt: float, promise: str, where: str) -> None:
