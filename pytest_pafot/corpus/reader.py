@@ -223,9 +223,10 @@ def one_of(options: Collection[str]) -> str:
 
 
 def _guess(word: str, options: Collection[str], otherwise: str = "rename or remove the key") -> str:
-    for close in difflib.get_close_matches(word, list(options), n=1):
-        return f"did you mean {close!r}?"
-    return otherwise
+    close = difflib.get_close_matches(word, list(options), n=1)
+    if not close:
+        return otherwise
+    return f"did you mean {close[0]!r}?"
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
@@ -327,7 +328,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         loader.dispose()
 
 
-@dataclass
+@dataclass(repr=False)  # pytest's --showlocals would print the content
 class _Builder:
     """A builder of JSON-compatible data from YAML events, which never expands an alias."""
 

@@ -22,7 +22,7 @@ from foxglove.messages import (
 )
 
 from pytest_pafot import Trace
-from pytest_pafot.export.exporter import edges, name_of, states_of
+from pytest_pafot.export.exporter import COLUMNS, edges, name_of, states_of
 from pytest_pafot.findings.finding import Finding
 
 NANOSECONDS = 1_000_000_000
@@ -31,7 +31,7 @@ EGO = Color(r=0.1, g=0.5, b=0.9, a=1)
 NPC = Color(r=0.9, g=0.4, b=0.1, a=1)
 EDGE = Color(r=0.6, g=0.6, b=0.6, a=1)
 # The names of the columns of the states, in their order.
-NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
+NUMBERS = COLUMNS[2:-2]
 SCHEMA = {
     "type": "object",
     "properties": {

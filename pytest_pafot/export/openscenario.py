@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from xml.etree import ElementTree
 
@@ -151,9 +152,8 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
     }
 
 
-def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return the files in OpenSCENARIO 1.0, the version that CARLA's scenario_runner requires."""
-    return export(finding, trace, 0)
+export_1_0 = partial(export, minor=0)
+"""Return the files in OpenSCENARIO 1.0, the version that CARLA's scenario_runner requires."""
 
 
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:

@@ -83,7 +83,7 @@ class ProgramLoader:
 
     def __call__(self) -> ProgramAds:
         """Return a new ADS, with an idle program of this process or else a new program."""
-        idle = _idle(self)
+        idle = _idle_in(getpid(), self)
         while idle:
             program = idle.pop()
             if program.is_ready:
@@ -95,10 +95,6 @@ class ProgramLoader:
 def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
     # one list per process, because a forked process must not use the programs of its parent
     return []
-
-
-def _idle(loader: ProgramLoader) -> list[Program]:
-    return _idle_in(getpid(), loader)
 
 
 @dataclass(eq=False, repr=False)
@@ -137,7 +133,7 @@ class ProgramAds:
             if self._is_waiting:
                 self._program.kill()
             if self._loader.keep and not self._is_waiting:
-                _idle(self._loader).append(self._program)
+                _idle_in(getpid(), self._loader).append(self._program)
             else:
                 self._program.end()
 

@@ -97,9 +97,10 @@ def listed(texts: Sequence[str], last: str = "and") -> str:
 
 def suggest(name: object, known: Iterable[str]) -> str:
     """Return ``. Did you mean 'gap'?`` for a similar name, or an empty string."""
-    for near in difflib.get_close_matches(str(name), list(known), n=1):
-        return f". Did you mean {near!r}?"
-    return ""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    if not near:
+        return ""
+    return f". Did you mean {near[0]!r}?"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
