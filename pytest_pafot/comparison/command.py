@@ -33,14 +33,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "runs of S seconds, and NAME@paper for the paper's scenarios. The first algorithm is compared with each of the "
         "others (default: %(default)s)",
     )
-    of_ads = "test this policy: a module of example_ads, module:factory, or module:factory:argument"
-    parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
-    of_out = "write the results to this folder, which must not contain results yet"
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help=of_out)
-    of_runs = "run each algorithm N times (default: %(default)s)"
-    parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
-    of_seconds = "stop each run after S simulated seconds (default: 3600)"
-    parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help=of_seconds)
+    parser.add_argument(
+        "--ads",
+        required=True,
+        metavar="ADS",
+        help="test this policy: a module of example_ads, module:factory, or module:factory:argument",
+    )
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="write the results to this folder, which must not contain results yet",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=10,
+        metavar="N",
+        help="run each algorithm N times (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=3600.0,
+        metavar="S",
+        help="stop each run after S simulated seconds (default: 3600)",
+    )
     parser.add_argument(
         "--seed",
         type=int,
@@ -58,30 +77,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="search for these collisions: all (any), or only those for which the ego is responsible (ego) "
         "(default: %(default)s, as in the paper)",
     )
-    of_fitness = "maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
-    of_fitness += "(default: the fitness of each algorithm)"
-    parser.add_argument("--fitness", help=of_fitness)
+    parser.add_argument(
+        "--fitness",
+        help="maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
+        "(default: the fitness of each algorithm)",
+    )
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_duration = "set the duration of scenarios to S seconds (default: 60, or the duration of the environment)"
-    parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
-    of_clearance = "set the clearance of the grid to D metres; the paper uses 0 (default: 3)"
-    parser.add_argument("--clearance", type=float, metavar="D", help=of_clearance)
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help="set the duration of scenarios to S seconds (default: 60, or the duration of the environment)",
+    )
+    parser.add_argument(
+        "--clearance",
+        type=float,
+        metavar="D",
+        help="set the clearance of the grid to D metres; the paper uses 0 (default: 3)",
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run a comparison, write a report that quotes ``command``, and return the exit code."""
-    names = tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip())
+    names = map(str.strip, arguments.algorithms.split(","))
     given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
-    plan = Plan(**{**given, "algorithms": names})
+    given["algorithms"] = tuple(filter(None, names))
+    plan = Plan(**given)
     plan.check()
-    workers, folder = worker_count(arguments.workers), arguments.out
+    workers = worker_count(arguments.workers)
+    folder = arguments.out
     # Errors on the command line are reported first, before the user has to install anything.
     missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
     if missing:
         raise RequestError(
             f"the report needs the library {missing}, which is not installed. Run `{install('compare')}`."
         )
-    path, rows = folder / RESULTS, dict[tuple[str, int], list[Row]]()
+    path = folder / RESULTS
     if path.exists():
         raise RequestError(
             f"--out: expected a folder without the results of a comparison, but {folder} contains {RESULTS}. "
@@ -94,6 +125,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"compare: warning: {DIFFERENT}\n{groups}")
     with written_into(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    rows: dict[tuple[str, int], list[Row]] = {}
     # If the command is stopped or a run ends in an error, the rows of the finished runs are written, too.
     try:
         for task, found in run_tasks(partial(run_rows, plan), plan.tasks, workers):
@@ -101,8 +133,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
     finally:
         if rows:  # otherwise, the folder stays free for a corrected command
-            order = sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
-            every = ([row.get(name) for name in COLUMNS] for task in order for row in rows[task])
+            every = []
+            for name in plan.names:
+                for run in range(plan.runs):
+                    found = rows.get((name, run), [])
+                    every += [[row.get(column) for column in COLUMNS] for row in found]
             with written_into(folder):
                 write_whole(path, csv_text(tuple(COLUMNS), every))
     # pandas, scipy and matplotlib are imported only now, because they take seconds.

@@ -37,10 +37,6 @@ class Style(NamedTuple):
     line: Any
     marker: str
 
-    @property
-    def curve(self) -> dict[str, Any]:
-        return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
-
 
 STYLES = (
     Style("#17365d", "-", "o"),
@@ -63,8 +59,9 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
     """Write every figure as a PNG file. Return the titles by file name without the suffix."""
     with mpl.rc_context(SETTINGS):
         for name, (_, draw) in FIGURES.items():
-            figure, buffer = Figure(figsize=(6.0, 3.6), layout="constrained"), BytesIO()
+            figure = Figure(figsize=(6.0, 3.6), layout="constrained")
             draw(figure.subplots(), results)
+            buffer = BytesIO()
             figure.savefig(buffer, format="png", dpi=160)
             write_whole(folder / f"{name}.png", buffer.getvalue())
     return {name: title for name, (title, _) in FIGURES.items()}
@@ -74,15 +71,15 @@ def _curves(
     axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]
 ) -> None:
     # The mean of all runs as a curve, with a band for the middle half of the runs.
-    rows, times = results.frame[counts(results.frame)], np.linspace(0.0, results.horizon, POINTS)
+    rows = results.frame[counts(results.frame)]
+    times = np.linspace(0.0, results.horizon, POINTS)
+    hours = times / SECONDS_PER_HOUR
     for name, style, runs in _algorithms(results):
-        of_runs = [
-            rows_of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]
-        ]
-        cumulated = np.stack([np.searchsorted(at, times, side="right") for at in of_runs]).astype(
-            np.float64
-        )
-        hours = times / SECONDS_PER_HOUR
+        totals = []
+        for run in runs["run"]:
+            at = rows_of(name, rows[rows["run"] == run])["clock"].sort_values()
+            totals.append(np.searchsorted(at, times, side="right"))
+        cumulated = np.stack(totals).astype(np.float64)
         axes.fill_between(
             hours,
             *np.quantile(cumulated, [0.25, 0.75], axis=0),
@@ -90,8 +87,16 @@ def _curves(
             alpha=0.15,
             linewidth=0,
         )
-        markers: Any = {"markevery": (POINTS // 12, POINTS // 6), "markersize": 4.5}
-        axes.plot(hours, cumulated.mean(axis=0), label=name, **style.curve, **markers)
+        axes.plot(
+            hours,
+            cumulated.mean(axis=0),
+            label=name,
+            color=style.colour,
+            linestyle=style.line,
+            marker=style.marker,
+            markevery=(POINTS // 12, POINTS // 6),
+            markersize=4.5,
+        )
     axes.set(xlim=(0, None), ylim=(0, None), xlabel="simulated time per run [h]", ylabel=label)
     axes.set_title("mean of the runs; band: middle half of the runs", fontsize=9, loc="left")
     axes.legend(loc="upper left")

@@ -68,7 +68,9 @@ def _head(results: Results, command: Sequence[str]) -> str:
     groups = "\n".join(
         f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items()
     )
-    warning = "" if len(plan.scenarios) == 1 else f"\n**Warning:** {DIFFERENT}.\n"
+    warning = ""
+    if len(plan.scenarios) > 1:
+        warning = f"\n**Warning:** {DIFFERENT}.\n"
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}
 
@@ -90,17 +92,18 @@ Scenarios:
 
 
 def _distinct(results: Results) -> str:
-    rows, failures = [], results.frame[results.frame["is_ego_failure"]]
+    failures = results.frame[results.frame["is_ego_failure"]]
+    rows = []
     for name in results.plan.names:
-        runs, own = rows_of(name, results.runs), rows_of(name, failures)
+        runs = rows_of(name, results.runs)
+        own = rows_of(name, failures)
+        faults = own[own["outcome"].isin(FAULTS)]
         median = survival(*first_failures(runs, results.horizon)).median
         rows.append(
             [
                 name,
-                *(
-                    f"{each['signature'].nunique()}"
-                    for each in (own, own[own["outcome"].isin(FAULTS)])
-                ),
+                own["signature"].nunique(),
+                faults["signature"].nunique(),
                 f"{runs['distinct'].mean():.2f}",
                 f"{(runs['distinct'] > 0).sum()} of {len(runs)}",
                 "not reached" if math.isinf(median) else f"{median:.0f} s",
@@ -125,20 +128,18 @@ def _collisions(results: Results) -> str:
     for name in results.plan.names:
         runs = rows_of(name, results.runs)
         total = runs.sum(numeric_only=True)
-        each = len(runs) * results.horizon / total.collisions if total.collisions else math.inf
+        time = "no collision"
+        if total.collisions:
+            time = f"{len(runs) * results.horizon / total.collisions:.2f} s"
         rows.append(
             [
                 name,
-                *(
-                    f"{total.collisions:.0f} of {total.scenarios:.0f}",
-                    _share(total.collisions, total.scenarios),
-                ),
-                "no collision" if math.isinf(each) else f"{each:.2f} s",
-                *(
-                    f"{total.by_ego:.0f}",
-                    f"{total.by_npc:.0f}",
-                    _share(total.by_npc, total.collisions),
-                ),
+                f"{total.collisions:.0f} of {total.scenarios:.0f}",
+                _share(total.collisions, total.scenarios),
+                time,
+                f"{total.by_ego:.0f}",
+                f"{total.by_npc:.0f}",
+                _share(total.by_npc, total.collisions),
             ]
         )
     header = [
@@ -158,18 +159,24 @@ collision is the total simulated time divided by the number of unique collisions
 def _statistics(tests: Sequence[Comparison]) -> str:
     if not tests:
         return "## Statistics\n\nThere is only one algorithm, so there is no comparison."
-    rows = [
-        [
-            *(each.measure, each.first, each.second),
-            *(
-                "none" if math.isinf(value) else f"{value:.4g}"
-                for value in (each.value_first, each.value_second)
-            ),
-            "" if each.a12 is None else f"{each.a12:.2f} [{each.a12_low:.2f}, {each.a12_high:.2f}]",
-            *(_p(each.p), _p(each.p_holm), each.test),
-        ]
-        for each in tests
-    ]
+    rows = []
+    for each in tests:
+        effect = ""
+        if each.a12 is not None:
+            effect = f"{each.a12:.2f} [{each.a12_low:.2f}, {each.a12_high:.2f}]"
+        rows.append(
+            [
+                each.measure,
+                each.first,
+                each.second,
+                _median(each.value_first),
+                _median(each.value_second),
+                effect,
+                _p(each.p),
+                _p(each.p_holm),
+                each.test,
+            ]
+        )
     header = ["measure", "", "", "median", "median", "A12 [95 %]", "p", "p, Holm", "test"]
     return f"""
 ## Statistics
@@ -184,7 +191,13 @@ shows counts of runs instead of medians, and the log-rank test shows Kaplan-Meie
 
 
 def _share(part: float, whole: float) -> str:
-    return f"{100 * part / whole:.1f} %" if whole else ""
+    if not whole:
+        return ""
+    return f"{100 * part / whole:.1f} %"
+
+
+def _median(value: float) -> str:
+    return "none" if math.isinf(value) else f"{value:.4g}"
 
 
 def _p(value: float) -> str:

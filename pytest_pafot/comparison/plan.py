@@ -66,11 +66,13 @@ class Entrant(NamedTuple):
         reference, at, text = given.partition("@")
         if text == PAPER:
             return cls(resolve_algorithm(reference), is_papers=True)
+        if not at:
+            return cls(resolve_algorithm(reference))
         try:
-            seconds = float(text) if at else None
+            seconds = float(text)
         except ValueError:
             seconds = math.nan
-        if seconds is not None and not 0 < seconds < math.inf:
+        if not 0 < seconds < math.inf:
             raise RequestError(
                 f"--algorithms: expected a time [s] or {PAPER} after the @, as in av-fuzzer@15, but received {given!r}"
             )
@@ -80,7 +82,9 @@ class Entrant(NamedTuple):
     def name(self) -> str:
         if self.is_papers:
             return f"{self.algorithm.name}@{PAPER}"
-        return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
+        if self.seconds is not None:
+            return f"{self.algorithm.name}@{self.seconds:g}"
+        return self.algorithm.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,22 +122,18 @@ class Plan:
         Raises:
             RequestError: if an option has a value that the world does not accept.
         """
-        road = {
-            name: value
-            for name in ("duration", "clearance")
-            if (value := getattr(self, name)) is not None
-        }
-        world = chosen_world(
-            self.world, self.config, [self.ads], is_planner=self.ads.endswith(PLANNER)
-        )
+        road = {"duration": self.duration, "clearance": self.clearance}
+        given: Any = {name: value for name, value in road.items() if value is not None}
+        is_planner = self.ads.endswith(PLANNER)
+        world = chosen_world(self.world, self.config, [self.ads], is_planner=is_planner)
         if world is None:
-            return Highway(**road)
+            return Highway(**given)
         if isinstance(world, World):
-            changed = replace(world, **road)
+            changed = replace(world, **given)
             changed.check()
             return changed
-        if road:
-            name, value = next(iter(road.items()))
+        if given:
+            name, value = next(iter(given.items()))
             raise RequestError(
                 f"--{name}: expected no such option with --world {self.world}, but received {value!r}. Omit it, "
                 "because that world sets its own value."
@@ -142,8 +142,10 @@ class Plan:
 
     def setting(self, name: str) -> tuple[BaseWorld, SearchSpace]:
         """Return the world and the search space for one of the :attr:`names`."""
-        entrant, own = self._entrant(name), self.made_world()
-        space, seconds = own.space({}), entrant.seconds
+        entrant = self._entrant(name)
+        seconds = entrant.seconds
+        own = self.made_world()
+        space = own.space({})
         if not (entrant.is_papers or entrant.algorithm.is_papers):
             space = replace(space, **drawn_space(own, {}))
         if seconds is None:
@@ -156,15 +158,14 @@ class Plan:
         world = replace(own, duration=seconds)
         # All genes are equally long, in whole ticks, and not longer than the genes of the plan. Sampled
         # durations stay as they are.
-        ticks, least = (
-            round(seconds * world.physics_hz),
-            math.ceil(seconds / space.gene_seconds - 1e-9),
-        )
+        ticks = round(seconds * world.physics_hz)
+        least = math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
 
     def _entrant(self, name: str) -> Entrant:
-        return Entrant.parse(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+        given = dict(zip(self.names, self.algorithms, strict=True))
+        return Entrant.parse(given.get(name, name))
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
@@ -172,12 +173,14 @@ class Plan:
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
-            patterns = "; half of them have dangerous patterns" if space.patterns else ""
-            drawn, whole = space.gene_durations, round(space.genes * space.gene_seconds, 1)
             genes = f"{plural(space.genes, 'gene')} of {round(space.gene_seconds, 1):g} s"
+            drawn = space.gene_durations
             if drawn:
+                whole = round(space.genes * space.gene_seconds, 1)
                 genes = f"genes of {min(drawn):g} to {max(drawn):g} s, together {whole:g} s"
-            found.setdefault(f"{space.described}; {genes}{patterns}", []).append(name)
+            if space.patterns:
+                genes += "; half of them have dangerous patterns"
+            found.setdefault(f"{space.described}; {genes}", []).append(name)
         return found
 
     def run(self, name: str, number: int) -> AlgorithmRun:
@@ -204,7 +207,8 @@ class Plan:
     def run_seed(self, algorithm: str, run: int) -> int:
         """Return the seed of one run. Seeds differ between algorithms, so all runs are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
-        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
+        digest = hashlib.sha256(text.encode()).digest()
+        return int.from_bytes(digest[:6], "big")
 
     def check(self) -> None:
         """Check that the plan can be run.

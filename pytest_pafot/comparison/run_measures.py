@@ -42,8 +42,8 @@ class Results:
         """Read the results of a comparison from a file with one row per scenario, and measure all runs."""
         frame = read_rows(path)
         end = horizon(frame)
-        return cls(plan=plan, frame=frame[~frame["reused"] & (frame["clock"] <= end)], horizon=end,
-                   runs=measure_runs(frame, end))  # fmt: skip
+        counted = frame[~frame["reused"] & (frame["clock"] <= end)]
+        return cls(plan=plan, frame=counted, horizon=end, runs=measure_runs(frame, end))
 
 
 def read_rows(path: Path) -> pd.DataFrame:
@@ -60,9 +60,8 @@ def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
     """Yield an error for each algorithm for which the ego did not drive in most scenarios."""
     is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
     ended = rows["ended"].astype(object)
-    lacks = ended.where(ended.notna(), rows["outcome"]).where(
-        is_short | (rows["outcome"] == "invalid")
-    )
+    is_wrong = is_short | (rows["outcome"] == "invalid")
+    lacks = ended.where(ended.notna(), rows["outcome"]).where(is_wrong)
     for name, each in lacks.groupby(rows["algorithm"], sort=False):
         if 2 * each.count() > len(each):
             yield (
@@ -74,30 +73,34 @@ def undriven_errors(rows: pd.DataFrame) -> Iterator[str]:
 
 def horizon(frame: pd.DataFrame) -> float:
     """Return the simulated time [s] of the shortest run. All runs are compared up to this time."""
-    return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
+    clocks = frame.groupby(["algorithm", "run"])["clock"]
+    return float(clocks.max().min())
 
 
 def measure_runs(frame: pd.DataFrame, seconds: float) -> pd.DataFrame:
     """Return a row of measures for each run, computed from the scenarios that end within a simulated time [s]."""
     counted = ~frame["reused"] & (frame["clock"] <= seconds)
-    hits, failures = counted & (frame["outcome"] == "collision"), counted & frame["is_ego_failure"]
-    columns = {
-        "scenarios": (counted, "sum"),  # unique ones, which are those that were simulated
-        "collisions": (hits, "sum"),
-        # collisions with only the NPC responsible
-        "by_npc": (hits & (frame["responsibility"] == "npc"), "sum"),
-        # collisions with the ego responsible, maybe with the NPC
-        "by_ego": (hits & frame["is_ego_failure"], "sum"),
-        # failures of the ego, including ADS errors
-        "distinct": (frame["signature"].where(failures), "nunique"),
-        # Simulated time until the first failure of the ego [s]; infinite without one.
-        "first_failure": (frame["clock"].where(failures, math.inf), "min"),
-    }
-    all_rows = frame[["algorithm", "run"]].assign(
-        **{name: column for name, (column, _) in columns.items()}
+    hits = counted & (frame["outcome"] == "collision")
+    failures = counted & frame["is_ego_failure"]
+    columns = frame[["algorithm", "run"]].assign(
+        scenarios=counted,
+        collisions=hits,
+        by_npc=hits & (frame["responsibility"] == "npc"),
+        by_ego=hits & frame["is_ego_failure"],
+        distinct=frame["signature"].where(failures),
+        first_failure=frame["clock"].where(failures, math.inf),
     )
-    by_run = all_rows.groupby(["algorithm", "run"], sort=False)
-    runs = by_run.agg({name: how for name, (_, how) in columns.items()}).reset_index()
+    by_run = columns.groupby(["algorithm", "run"], sort=False)
+    measures = {
+        "scenarios": "sum",  # unique ones, which are those that were simulated
+        "collisions": "sum",
+        "by_npc": "sum",  # collisions with only the NPC responsible
+        "by_ego": "sum",  # collisions with the ego responsible, maybe with the NPC
+        "distinct": "nunique",  # failures of the ego, including ADS errors
+        # Simulated time until the first failure of the ego [s]; infinite without one.
+        "first_failure": "min",
+    }
+    runs = by_run.agg(measures).reset_index()
     runs["share"] = (runs["collisions"] / runs["scenarios"]).fillna(0.0)
     return runs
 
@@ -143,14 +146,12 @@ class Survival:
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> Effect:
     """Return the effect size between two samples, with its interval and test. Infinite values count as equal."""
-    low, high = a12_interval(a12(first, second), len(first), len(second))
-    is_one_value = len({*first, *second}) == 1
-    p = (
-        1.0
-        if is_one_value
-        else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
-    )
-    return Effect(a12=a12(first, second), low=low, high=high, p=p)
+    estimate = a12(first, second)
+    low, high = a12_interval(estimate, len(first), len(second))
+    p = 1.0
+    if len({*first, *second}) > 1:
+        p = float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    return Effect(estimate, low, high, p)
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
@@ -158,13 +159,12 @@ def a12(first: Sequence[float], second: Sequence[float]) -> float:
 
     Source: Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000.
     """
-    x, y = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
+    x = np.asarray(first, dtype=float)[:, None]
+    y = np.asarray(second, dtype=float)
     return float(np.mean((x > y) + 0.5 * (x == y)))
 
 
-def a12_interval(
-    estimate: float, first: int, second: int, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
+def a12_interval(estimate: float, first: int, second: int) -> tuple[float, float]:
     """Return the confidence interval of an estimate of A12 from samples of two sizes.
 
     Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
@@ -172,20 +172,22 @@ def a12_interval(
     """
     # A value is in the interval if the estimate is within z standard errors of it. The formula for the standard error
     # is by Hanley and McNeil, with the mean of the two sizes.
-    z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
+    z = float(scipy.stats.norm.ppf((1 + CONFIDENCE) / 2))
     others = (first + second) / 2 - 1
 
     def excess(value: float) -> float:
-        spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
-        return float(
-            (value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second)
-        )
+        spread = 1 + others * (1 - value) / (2 - value)
+        spread += others * value / (1 + value)
+        variance = value * (1 - value) * spread / (first * second)
+        return float((value - estimate) ** 2 - z**2 * variance)
 
+    low = 0.0
+    high = 1.0
     # If the estimate is 0 or 1, it is itself a root, so only the other end is computed.
-    low = (
-        0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
-    )
-    high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
+    if estimate > 0:
+        low = float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
+    if estimate < 1:
+        high = float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
     return low, high
 
 
@@ -194,8 +196,8 @@ def fisher_p(first: tuple[int, int], second: tuple[int, int]) -> float:
 
     Each pair contains the number of runs with a failure and the number of all runs.
     """
-    table = np.array([[found, runs - found] for found, runs in (first, second)])
-    return float(scipy.stats.fisher_exact(table).pvalue)
+    table = [[found, runs - found] for found, runs in (first, second)]
+    return float(scipy.stats.fisher_exact(np.array(table)).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
@@ -206,10 +208,9 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
     estimate = scipy.stats.ecdf(_censored(times, is_censored)).sf
     at = np.asarray(estimate.quantiles, dtype=np.float64)
     shares = np.asarray(estimate.probabilities, dtype=np.float64)
-    half = np.flatnonzero(shares <= 0.5 + 1e-12)
-    return Survival(
-        times=at, shares=shares, median=float(at[half[0]]) if half.size else float("inf")
-    )
+    half = at[shares <= 0.5 + 1e-12]
+    median = float(half[0]) if half.size else math.inf
+    return Survival(times=at, shares=shares, median=median)
 
 
 def log_rank(
@@ -221,12 +222,14 @@ def log_rank(
     """Return the two-sided p-value of the log-rank test on times that may be censored, or 1 if it is undefined."""
     if all(first_censored) and all(second_censored):
         return 1.0
+    one = _censored(first, first_censored)
+    other = _censored(second, second_censored)
     # if all events are at the same time, scipy divides 0 by a variance of 0
     with np.errstate(invalid="ignore"):
-        result = scipy.stats.logrank(
-            _censored(first, first_censored), _censored(second, second_censored)
-        )
-    return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
+        p = scipy.stats.logrank(one, other).pvalue
+    if np.isnan(p):
+        return 1.0
+    return float(p)
 
 
 def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stats.CensoredData:
@@ -256,7 +259,8 @@ def comparisons(results: Results) -> list[Comparison]:
     first, *others = results.plan.names
     found: list[Comparison] = []
     for second in others:
-        a, b = rows_of(first, results.runs), rows_of(second, results.runs)
+        a = rows_of(first, results.runs)
+        b = rows_of(second, results.runs)
         for measure, column in TESTED.items():
             effect = effect_size(a[column].tolist(), b[column].tolist())
             values = float(np.median(a[column])), float(np.median(b[column]))
@@ -264,15 +268,12 @@ def comparisons(results: Results) -> list[Comparison]:
         counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
         p = fisher_p((counts[0], len(a)), (counts[1], len(b)))
         measure = "runs that found an ego-responsible failure"
-        found.append(
-            Comparison(measure, first, second, *counts, None, None, None, p, "Fisher exact")
-        )
+        no_effect = (None, None, None)
+        found.append(Comparison(measure, first, second, *counts, *no_effect, p, "Fisher exact"))
         times = [first_failures(each, results.horizon) for each in (a, b)]
         medians = survival(*times[0]).median, survival(*times[1]).median
-        measure, p = (
-            "simulated s to the first ego-responsible failure",
-            log_rank(*times[0], *times[1]),
-        )
-        found.append(Comparison(measure, first, second, *medians, None, None, None, p, "log-rank"))
+        p = log_rank(*times[0], *times[1])
+        measure = "simulated s to the first ego-responsible failure"
+        found.append(Comparison(measure, first, second, *medians, *no_effect, p, "log-rank"))
     adjusted = holm([each.p for each in found])
     return [each._replace(p_holm=p) for each, p in zip(found, adjusted, strict=True)]

@@ -10,7 +10,7 @@ import os
 import re
 import string
 from bisect import bisect_left
-from itertools import groupby, islice, takewhile
+from itertools import groupby
 from pathlib import Path
 
 SUFFIX = ".pafot.yaml"
@@ -49,8 +49,10 @@ def is_misnamed(name: str) -> bool:
 def name_within(name: str) -> str:
     """Return the original file name of a renamed copy such as ``x.pafot.yaml.txt``, or an empty string."""
     # Emacs puts ".#" before the name of a lock file. Backups and temporary copies have a longer suffix.
-    original, suffix, more = name.lstrip(".#").partition(SUFFIX)
-    return original + suffix if original and more else ""
+    original, _, more = name.lstrip(".#").partition(SUFFIX)
+    if not original or not more:
+        return ""
+    return original + SUFFIX
 
 
 def entries_of(folder: Path) -> list[Path]:
@@ -71,12 +73,10 @@ def is_folder(path: Path) -> bool:
 def files_below(root: Path = Path(CORPUS)) -> list[Path]:
     """Return all corpus files in a folder tree, sorted."""
     # os.walk does not follow links to folders, which may be cyclic.
-    return sorted(
-        Path(folder, name)
-        for folder, _, names in os.walk(root)
-        for name in names
-        if name.endswith(SUFFIX)
-    )
+    files = []
+    for folder, _, names in os.walk(root):
+        files += [Path(folder, name) for name in names if name.endswith(SUFFIX)]
+    return sorted(files)
 
 
 def unlisted_below(root: Path) -> dict[Path, str]:
@@ -84,15 +84,14 @@ def unlisted_below(root: Path) -> dict[Path, str]:
     errors: list[OSError] = []
     for _ in os.walk(root, onerror=errors.append):
         pass
-    # The root itself may be a file: on Windows, git writes a link as a file.
-    fix = "Make it readable for this user, restore it, or move it away"
-    return {
-        Path(
-            error.filename
-        ): f"expected a folder that can be listed, received {error.strerror}. {fix}"
-        for error in errors
-        if os.path.lexists(error.filename)
-    }
+    unlisted = {}
+    for error in errors:
+        # The root itself may be a file: on Windows, git writes a link as a file.
+        if os.path.lexists(error.filename):
+            expected = f"expected a folder that can be listed, received {error.strerror}"
+            fix = "Make it readable for this user, restore it, or move it away"
+            unlisted[Path(error.filename)] = f"{expected}. {fix}"
+    return unlisted
 
 
 def folders_below(root: Path) -> list[Path]:
@@ -114,32 +113,42 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
 
 def link_below(base: Path, path: Path) -> Path | None:
     """Return the topmost symbolic link on the way from a folder to a path below it, or None."""
-    way = [each for each in (path, *path.parents) if each != base and each.is_relative_to(base)]
-    return next((each for each in reversed(way) if os.path.islink(each)), None)  # noqa: PTH114  (see is_folder)
+    topmost = None
+    for each in (path, *path.parents):
+        if each == base or not each.is_relative_to(base):
+            break
+        if os.path.islink(each):  # noqa: PTH114  (see is_folder)
+            topmost = each
+    return topmost
 
 
 def chosen_folder(test_file: Path, corpus: str) -> Path:
     """Return the folder that the user chose for the corpus. Links below it are not trusted."""
-    return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
+    if Path(corpus).is_absolute():
+        return Path(corpus)
+    return test_file.parent
 
 
 def link_out(base: Path, root: Path, rootpath: Path) -> Path | None:
     """Return the link through which the path of a corpus folder leaves the project, or None."""
-    link = link_below(base, root)
     # A link from one folder of the project to another is harmless.
-    return None if link is None or is_inside(root, rootpath) else link
+    if is_inside(root, rootpath):
+        return None
+    return link_below(base, root)
 
 
 def is_inside(path: Path, rootpath: Path) -> bool:
     """Return whether a path is inside the rootdir after all links are followed."""
-    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(rootpath))
+    real = Path(os.path.realpath(path))
+    return real.is_relative_to(os.path.realpath(rootpath))
 
 
 def is_corpus(path: Path, corpus: Path) -> bool:
     """Return whether a folder is a corpus according to the option ``corpus``."""
     if corpus.is_absolute():
         return path == corpus
-    return path.name == corpus.name and path.parts[-len(corpus.parts) :] == corpus.parts
+    end = path.parts[-len(corpus.parts) :]
+    return path.name == corpus.name and end == corpus.parts
 
 
 def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
@@ -157,26 +166,30 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
     if len(file.parents) < 3:
         return None
     # The path of a corpus file ends with module/test/file.
-    root, module = file.parents[2], file.parents[1].name
+    root = file.parents[2]
     folder = Path(corpus)
-    if folder.is_absolute():
-        directory = rootpath / root.relative_to(folder) if root.is_relative_to(folder) else None
+    if folder.is_absolute() and root.is_relative_to(folder):
+        directory = rootpath / root.relative_to(folder)
+    elif not folder.is_absolute() and is_corpus(root, folder):
+        directory = root.parents[len(folder.parts) - 1]
     else:
-        directory = root.parents[len(folder.parts) - 1] if is_corpus(root, folder) else None
-    return None if directory is None else module_named(directory, module)
+        return None
+    return module_named(directory, file.parents[1].name)
 
 
 def module_named(directory: Path, folder: str) -> Path:
     """Return the test file that belongs to a folder of a corpus, even if the test file does not exist."""
-    return next(
-        (file for file in directory.glob("*.py") if safe_name(file.stem) == folder),
-        directory / f"{folder}.py",
-    )
+    for file in directory.glob("*.py"):
+        if safe_name(file.stem) == folder:
+            return file
+    return directory / f"{folder}.py"
 
 
 def relative(path: Path, rootpath: Path) -> str:
     """Return a path for messages, relative to the rootdir if possible."""
-    return path.relative_to(rootpath).as_posix() if path.is_relative_to(rootpath) else str(path)
+    if path.is_relative_to(rootpath):
+        return path.relative_to(rootpath).as_posix()
+    return str(path)
 
 
 def safe_name(text: str) -> str:
@@ -187,40 +200,42 @@ def safe_name(text: str) -> str:
     with ``~`` and ten digits of a hash.
     """
     bracketed = re.fullmatch(_WITH_PARAMETERS, text)
-    parts = bracketed.groups() if bracketed else (text,)
+    parts = [text]
+    if bracketed:
+        parts = [*bracketed.groups()]
     suffix = ""
+    plain = parts
     # "A.b" and "A::b" must differ
     if text.isascii() and text != text.lower() and "." not in parts[0]:
         # Two names that differ only in case get different suffixes, because some file systems ignore case.
-        parts = (parts[0].replace("::", "."), *parts[1:])
+        parts[0] = parts[0].replace("::", ".")
         suffix = f"~{_runs_of_case(text)}"
+        plain = [part.lower() for part in parts]
     # "@" replaces square brackets, which have a meaning in paths for pytest and for shells.
     name = "@".join(parts)
-    plain = (part.lower() if suffix else part for part in parts)
+    is_reserved = re.match(_RESERVED, name)
     # The suffix is shorter than one with a digest, so that the two kinds of suffixes cannot be confused.
     is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
-    if (
-        is_short
-        and all(re.fullmatch(_PLAIN, each) for each in plain)
-        and not re.match(_RESERVED, name)
-    ):
+    if is_short and not is_reserved and all(re.fullmatch(_PLAIN, each) for each in plain):
         return name + suffix
     # What remains are names with other characters, names that Windows reserves, and long names.
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
     readable = _readable(name)
-    prefix = "_" if not readable or re.match(_RESERVED, readable) else ""
-    return f"{prefix}{readable}~{digest}"
+    if not readable or re.match(_RESERVED, readable):
+        readable = f"_{readable}"
+    return f"{readable}~{digest}"
 
 
 def _runs_of_case(text: str) -> str:
     # Encode the positions of capitals as the lengths of runs of lower and upper case, in base 36.
     # A run of 35 or more is split by empty runs of the other case, so that each length is one digit.
-    runs = [
-        (is_capital, len(list(run)))
-        for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)
-    ]
-    lengths = [0] * runs[0][0] + [length for _, length in runs[: None if runs[-1][0] else -1]]
-    return "".join("z0" * (length // 35) + _DIGITS[length % 35] for length in lengths)
+    # The lower case after the last capital is not needed.
+    letters = "".join(filter(str.isalpha, text)).rstrip(string.ascii_lowercase)
+    code = "0" if letters[0].isupper() else ""
+    for _, run in groupby(letters, str.isupper):
+        length = len([*run])
+        code += "z0" * (length // 35) + _DIGITS[length % 35]
+    return code
 
 
 class TestFolders:
@@ -235,10 +250,13 @@ class TestFolders:
         """Return the folders that can belong to a test, sorted by name."""
         prefix = _readable(test).removeprefix("_")
         start = bisect_left(self._sorted, prefix, key=_beginning)
-        begins = takewhile(
-            lambda path: _beginning(path).startswith(prefix), islice(self._sorted, start, None)
-        )
-        return sorted(path for path in begins if may_be_of(path.name, test))
+        found = []
+        for path in self._sorted[start:]:
+            if not _beginning(path).startswith(prefix):
+                break
+            if may_be_of(path.name, test):
+                found.append(path)
+        return sorted(found)
 
 
 def _beginning(folder: Path) -> str:
@@ -250,21 +268,21 @@ def may_be_of(folder: str, test: str) -> bool:
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.
-    return (
-        re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[-.]*[@~-]", folder) is not None
-    )
+    name = re.escape(_readable(test).removeprefix("_"))
+    return re.match(rf"_?{name}[-.]*[@~-]", folder) is not None
 
 
 def _readable(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))[
-        : MAX_NAME - DIGEST - 2
-    ].strip("-.")
+    name = re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))
+    return name[: MAX_NAME - DIGEST - 2].strip("-.")
 
 
 def around(part: str, name: str) -> tuple[str, str] | None:
     """Return the strings before and after a part of a parametrised name, or None if the name does not contain it."""
     found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", name, re.DOTALL)
-    return None if found is None else (found[1], found[2])
+    if found is None:
+        return None
+    return found[1], found[2]
 
 
 def name_without(part: str, name: str) -> str:
@@ -275,7 +293,9 @@ def name_without(part: str, name: str) -> str:
     head, tail = parts
     if tail.startswith("-"):
         return head + tail[1:]
-    return head[:-1] if head.endswith("[") else head[:-1] + tail
+    if head.endswith("["):
+        return head[:-1]
+    return head[:-1] + tail
 
 
 def refusal(link: Path) -> str:

@@ -7,6 +7,7 @@ docs/reference/files.md.
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -15,7 +16,7 @@ from dataclasses import fields as fields_of
 from datetime import date
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType, NoneType, UnionType
+from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
@@ -67,7 +68,7 @@ XFAIL, REASON = "xfail", "reason"
 """The keys of an accepted failure and of its reason, which needs quotes if it looks like a date."""
 
 _PREFIX = "tag:yaml.org,2002:"
-_PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
+_PLAIN_KINDS = {"null", "bool", "int", "float", "str"}
 _NUMBER_LIKE = re.compile(
     r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)"
 )
@@ -113,39 +114,47 @@ class Field:
     @property
     def name(self) -> str:
         """The name of the value in error messages, such as ``scenario.npcs[0][3].cell``."""
-        return "".join(
-            f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place
-        ).lstrip(".")
+        name = ""
+        for part in self.place:
+            name += f"[{part}]" if isinstance(part, int) else f".{part}"
+        return name.lstrip(".")
 
-    def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
+    def error(self, expected: str, fix: str = RESTORE, received: str = "") -> CorpusError:
         """Return an error with the line of the value, or of the innermost enclosing value with a known line."""
-        # The innermost place with a known line. The document itself always has one.
-        places = (self.place[:end] for end in range(len(self.place), -1, -1))
-        line = next(self.lines[place] for place in places if place in self.lines)
-        received = received or ("null" if self.value is None else f"{self.value!r:.80}")
-        return CorpusError(self.path, expected, received, fix, field=self.name, line=line)
+        place = self.place
+        while place not in self.lines:  # the document itself always has a line
+            place = place[:-1]
+        if not received:
+            received = "null" if self.value is None else f"{self.value!r:.80}"
+        return CorpusError(
+            self.path,
+            expected,
+            received,
+            fix,
+            field=self.name,
+            line=self.lines[place],
+        )
 
     def at(self, part: str | int) -> Field:
-        return Field(self.path, self.lines, (*self.place, part), self.value[part])
+        place = (*self.place, part)
+        return Field(self.path, self.lines, place, self.value[part])
 
     def mapping(self, keys: Keys, owner: str = "") -> dict[str, Field]:
         """Return the values of a mapping that can have only these keys. Errors give ``owner`` as the keys' owner."""
         fields = self.any_mapping()
         known = keys.all
         # Unknown keys are reported before missing ones, because a misspelt key causes both.
-        for key in fields:
+        for key, field in fields.items():
             if key not in known:
-                raise fields[key].error(
-                    f"the key {one_of(known)}{owner}", _guess(key, known), repr(key)
-                )
+                expected = f"the key {one_of(known)}{owner}"
+                raise field.error(expected, _guess(key, known), repr(key))
         for key in keys.required:
             if key not in fields:
-                received = f"only {listed([*map(repr, fields)])}" if fields else "an empty mapping"
-                raise self.error(
-                    f"the key '{key}'",
-                    "add the key, or restore the file from version control",
-                    received,
-                )
+                received = "an empty mapping"
+                if fields:
+                    received = f"only {listed([*map(repr, fields)])}"
+                fix = "add the key, or restore the file from version control"
+                raise self.error(f"the key '{key}'", fix, received)
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
@@ -171,23 +180,27 @@ class Field:
 
     def choice(self, options: Collection[str]) -> Any:
         if not isinstance(self.value, str) or self.value not in options:
-            raise self.error(one_of(options), _guess(str(self.value), options, "correct the value"))
+            fix = _guess(str(self.value), options, "correct the value")
+            raise self.error(one_of(options), fix)
         return self.value
 
-    def whole(self, low: int = 0, high: int | None = None) -> int:
+    def whole(self, low: int = 0, high: float = math.inf) -> int:
         number = plain_whole(self.value)
-        if number is None or number < low or (high is not None and number > high):
-            expected = f"of at least {low}" if high is None else f"from {low:,} to {high:,}"
-            raise self.error(
-                f"{low}" if low == high else f"a whole number {expected}", "correct the value"
-            )
+        if number is None or not low <= number <= high:
+            expected = f"a whole number from {low:,} to {high:,}"
+            if low == high:
+                expected = str(low)
+            elif high == math.inf:
+                expected = f"a whole number of at least {low}"
+            raise self.error(expected, "correct the value")
         return number
 
     def day(self) -> date:
-        day = day_of(self.value) if isinstance(self.value, str) else None
+        day = day_of(str(self.value))
         if day is None:
             raise self.error(
-                "a valid date in the form YYYY-MM-DD", "write a date such as 2027-01-31"
+                "a valid date in the form YYYY-MM-DD",
+                "write a date such as 2027-01-31",
             )
         return day
 
@@ -211,7 +224,9 @@ def one_of(options: Collection[str]) -> str:
 
 def _guess(word: str, options: Collection[str], otherwise: str = "rename or remove the key") -> str:
     close = difflib.get_close_matches(word, list(options), n=1)
-    return f"did you mean {close[0]!r}?" if close else otherwise
+    if not close:
+        return otherwise
+    return f"did you mean {close[0]!r}?"
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
@@ -230,22 +245,16 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     # scenario, since such a file may contain a secret.
     if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
         received = "a different kind of file, such as one that `export` wrote"
-        raise CorpusError(
-            path, "a saved scenario", received, f"give a file whose name ends with {SUFFIX}"
-        )
+        fix = f"give a file whose name ends with {SUFFIX}"
+        raise CorpusError(path, "a saved scenario", received, fix)
     if len(content) > MAX_BYTES:
-        raise CorpusError(
-            path,
-            f"a file of at most {MAX_BYTES // 1024} KiB",
-            "a larger file",
-            "shorten or delete it",
-        )
+        expected = f"a file of at most {MAX_BYTES // 1024} KiB"
+        raise CorpusError(path, expected, "a larger file", "shorten or delete it")
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
         raise CorpusError(path, "a saved scenario", "an empty file")
     if content.startswith(LFS_POINTER):
-        raise CorpusError(
-            path, "a saved scenario", "a Git LFS pointer", "fetch the file with `git lfs pull`"
-        )
+        fix = "fetch the file with `git lfs pull`"
+        raise CorpusError(path, "a saved scenario", "a Git LFS pointer", fix)
     try:
         value, lines = _parsed(path, content, base)
     except CorpusError as error:
@@ -257,18 +266,20 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
     # checked first: nothing else can be checked in a file of a newer version
     if "pafot" not in value:
-        raise top.error(
-            f"the key 'pafot' with the value {VERSION}", received="a mapping without this key"
-        )
+        expected = f"the key 'pafot' with the value {VERSION}"
+        raise top.error(expected, received="a mapping without this key")
     version = top.at("pafot")
-    is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
-    if not is_whole or version.value != VERSION:
-        fix = "install the version of pytest-pafot that wrote this file, or delete the file and search again"
-        # Without a version, this may be another kind of file with a secret under that key, so the value is not printed.
-        raise version.error(
-            f"format version {VERSION}", fix, None if is_whole else "a value of a different type"
-        )
-    return top
+    # Without a version, this may be another kind of file with a secret under that key, so the value is not printed.
+    received = "a value of a different type"
+    if type(version.value) is int:
+        if version.value == VERSION:
+            return top
+        received = ""
+    raise version.error(
+        f"format version {VERSION}",
+        "install the version of pytest-pafot that wrote this file, or delete the file and search again",
+        received,
+    )
 
 
 def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
@@ -277,49 +288,54 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         # The file may start with a byte order mark.
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line, received = (
-            content.count(b"\n", 0, error.start) + 1,
-            f"the byte 0x{content[error.start]:02x}",
-        )
         raise CorpusError(
-            path, "text in UTF-8", received, "save the file as UTF-8", line=line
+            path,
+            "text in UTF-8",
+            f"the byte 0x{content[error.start]:02x}",
+            "save the file as UTF-8",
+            line=content.count(b"\n", 0, error.start) + 1,
         ) from None
     bad = _FORBIDDEN.search(text)
     if bad is not None:
-        line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
         raise CorpusError(
-            path, "printable text", received, "remove the unprintable character", line=line
+            path,
+            "printable text",
+            f"the character U+{ord(bad[0]):04X}",
+            "remove the unprintable character",
+            line=text.count("\n", 0, bad.start()) + 1,
         )
-    # The compiled loader accepts tabs and "?" where the Python loader does not, but both must give the same result.
-    is_odd = "\t" in text or "?" in text
-    kind: Any = base or (
-        yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    )
+    kind: Any = base
+    if kind is None:
+        kind = yaml.SafeLoader
+        # The compiled loader accepts tabs and "?" where the Python loader does not, but both must give the same result.
+        if "\t" not in text and "?" not in text:
+            kind = getattr(yaml, "CSafeLoader", kind)
     loader = kind(text)
     try:
-        return _Builder(path, loader).document()
+        return _Builder(path, loader, {}).document()
     except yaml.YAMLError as error:
-        where, problem = None, str(error).splitlines()[0]
+        problem = str(error).splitlines()[0]
+        line = None
         if isinstance(error, yaml.MarkedYAMLError):
-            mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
-            where = None if mark is None else mark.line + 1
-        received, fix = (
-            f"a syntax error ({problem})",
-            "correct the syntax, or restore the file from version control",
-        )
-        raise CorpusError(path, "valid YAML", received, fix, line=where) from None
+            problem = error.problem or "unknown"
+            mark = error.problem_mark or error.context_mark
+            if mark is not None:
+                line = mark.line + 1
+        fix = "correct the syntax, or restore the file from version control"
+        received = f"a syntax error ({problem})"
+        raise CorpusError(path, "valid YAML", received, fix, line=line) from None
     finally:
         loader.dispose()
 
 
+@dataclass(repr=False)  # pytest's --showlocals would print the content
 class _Builder:
     """A builder of JSON-compatible data from YAML events, which never expands an alias."""
 
-    def __init__(self, path: Path, loader: Any) -> None:
-        self.path = path
-        self.loader = loader
-        self.lines: Lines = {}
-        self.values = 0
+    path: Path
+    loader: Any
+    lines: Lines
+    values: int = 0
 
     def document(self) -> tuple[Any, Lines]:
         self._next(yaml.StreamStartEvent)
@@ -336,7 +352,10 @@ class _Builder:
         event = self.loader.get_event()
         if not isinstance(event, kind):
             raise self._error(
-                event, "exactly one YAML document", "none or several", "write one document per file"
+                event,
+                "exactly one YAML document",
+                "none or several",
+                "write one document per file",
             )
 
     def _value(self, place: Place, event: Any) -> Any:
@@ -344,53 +363,58 @@ class _Builder:
         self.values += 1
         if self.values > MOST_VALUES:
             # Reading a value takes about 10 microseconds. A file of this plugin would reach the size limit first.
-            raise self._error(
-                event, f"at most {MOST_VALUES} values", "more", "shorten or delete the file"
-            )
-        if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
+            expected = f"at most {MOST_VALUES} values"
+            raise self._error(event, expected, "more", "shorten or delete the file")
+        if event.anchor is not None:
             # Expanding aliases can use up all memory (a "billion laughs" attack).
-            name = f"the {'alias' if isinstance(event, yaml.AliasEvent) else 'anchor'} {event.anchor!r:.40}"
+            kind = "alias" if isinstance(event, yaml.AliasEvent) else "anchor"
             raise self._error(
-                event, "a value without aliases or anchors", name, "write the value in full"
+                event,
+                "a value without aliases or anchors",
+                f"the {kind} {event.anchor!r:.40}",
+                "write the value in full",
             )
         if event.tag is not None:
             raise self._error(
-                event, "a value without a tag", f"the tag {event.tag!r:.60}", "remove the tag"
+                event,
+                "a value without a tag",
+                f"the tag {event.tag!r:.60}",
+                "remove the tag",
             )
         if isinstance(event, yaml.ScalarEvent):
-            return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
+            is_day = place[:-1] == (XFAIL,) and place[-1] != REASON
+            return self._scalar(event, is_day=is_day)
         if len(place) >= DEPTH:
-            raise self._error(
-                event, f"at most {DEPTH} levels of nesting", "more", "reduce the nesting"
-            )
+            expected = f"at most {DEPTH} levels of nesting"
+            raise self._error(event, expected, "more", "reduce the nesting")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(place)
-        return [
-            self._value((*place, index), each)
-            for index, each in enumerate(self._until(yaml.SequenceEndEvent))
-        ]
+        items = enumerate(self._until(yaml.SequenceEndEvent))
+        return [self._value((*place, index), each) for index, each in items]
 
     def _scalar(self, event: Any, *, is_day: bool) -> Any:
-        tag = self.loader.resolve(yaml.ScalarNode, event.value, event.implicit)
-        if is_day and tag == f"{_PREFIX}timestamp":
-            return str(event.value)
-        if tag not in _PLAIN_TAGS:
-            received = f"{event.value!r:.60}, which has the YAML type '{tag.removeprefix(_PREFIX)}'"
+        text = event.value
+        tag = self.loader.resolve(yaml.ScalarNode, text, event.implicit)
+        kind = tag.removeprefix(_PREFIX)
+        if is_day and kind == "timestamp":
+            return str(text)
+        if kind not in _PLAIN_KINDS:
             raise self._error(
                 event,
                 "a number, a string, true, false or null",
-                received,
+                f"{text!r:.60}, which has the YAML type '{kind}'",
                 "put the value in quotes",
             )
         if event.implicit[0]:
             # YAML 1.1, YAML 1.2 and people read these in different ways: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
-            text, kind = event.value, tag.removeprefix(_PREFIX)
-            is_number = kind in ("int", "float")
-            if (is_number and not _NUMBER.fullmatch(text)) or (
-                kind == "str" and _NUMBER_LIKE.fullmatch(text)
-            ):
-                fix = "write a number such as 10, 0.5 or 1.0e-5, or put the value in quotes"
-                raise self._error(event, "a number in decimal notation", f"{text!r:.60}", fix)
+            is_odd_number = kind in ("int", "float") and not _NUMBER.fullmatch(text)
+            if is_odd_number or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
+                raise self._error(
+                    event,
+                    "a number in decimal notation",
+                    f"{text!r:.60}",
+                    "write a number such as 10, 0.5 or 1.0e-5, or put the value in quotes",
+                )
             if kind in ("bool", "null") and not _WORD.fullmatch(text):
                 raise self._error(
                     event,
@@ -398,32 +422,27 @@ class _Builder:
                     f"{text!r:.60}",
                     "if it is a string, put it in quotes",
                 )
+        node = yaml.ScalarNode(tag, text, event.start_mark, event.end_mark)
         try:
-            return self.loader.construct_object(
-                yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark)
-            )
+            return self.loader.construct_object(node)
         except (ValueError, OverflowError):
-            received, fix = (
-                f"one with {len(event.value):,} digits",
+            raise self._error(
+                event,
+                "a number that can be read",
+                f"one with {len(text):,} digits",
                 "shorten it, or put it in quotes",
-            )
-            raise self._error(event, "a number that can be read", received, fix) from None
+            ) from None
 
     def _mapping(self, place: Place) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
         for event in self._until(yaml.MappingEndEvent):
             key = self._value((*place, "?"), event)
             if not isinstance(key, str):
-                raise self._error(
-                    event, "strings as keys", f"the key {key!r:.60}", "put the key in quotes"
-                )
+                received = f"the key {key!r:.60}"
+                raise self._error(event, "strings as keys", received, "put the key in quotes")
             if key in mapping:
-                raise self._error(
-                    event,
-                    "each key only once",
-                    f"{key!r:.60} a second time",
-                    "remove the duplicate",
-                )
+                received = f"{key!r:.60} a second time"
+                raise self._error(event, "each key only once", received, "remove the duplicate")
             # All keys are read at the place "?". After the value is read, its line becomes the line of the key.
             mapping[key] = self._value((*place, key), self.loader.get_event())
             self.lines[(*place, key)] = _line(event)
@@ -448,19 +467,17 @@ FILE = Keys(
 )
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
-WORLDS: Mapping[str, Keys] = MappingProxyType(
-    {
-        "highway": Keys(
-            ("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN),
-            ("ego",),
-        ),
-        "gym": Keys(
-            ("kind", "env_id", "config", "duration", *_BUILT_IN),
-            ("wrappers", "planner_hz", "ego", "ends"),
-        ),
-        "own": Keys(("kind",), ("class", "data")),
-    }
-)
+WORLDS: Mapping[str, Keys] = {
+    "highway": Keys(
+        ("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN),
+        ("ego",),
+    ),
+    "gym": Keys(
+        ("kind", "env_id", "config", "duration", *_BUILT_IN),
+        ("wrappers", "planner_hz", "ego", "ends"),
+    ),
+    "own": Keys(("kind",), ("class", "data")),
+}
 """The keys of ``world`` by its kind. ``data`` is the dict that the ``to_dict`` method of a custom world returns."""
 
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
@@ -468,18 +485,28 @@ LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overs
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
 
 EGO = Keys(("lane", "speed"))
-REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
-    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",)}
-)
+REQUIRED: Mapping[type, tuple[str, ...]] = {
+    Expect: ("responsibility",),
+    Found: ("versions",),
+    Shrunk: ("is_minimal",),
+}
 """Fields that a file must contain even though they have defaults in the code."""
 
-SIGNED = frozenset({
-    "slot", "value", "at_most", "at_least", "gap", "lanes_to_right", "npc_enters", "ego_enters", "ego_speed",
+SIGNED = {
+    "slot",
+    "value",
+    "at_most",
+    "at_least",
+    "gap",
+    "lanes_to_right",
+    "npc_enters",
+    "ego_enters",
+    "ego_speed",
     "npc_speed",
-})  # fmt: skip
+}
 """The fields that can be negative."""
 
-MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})
+MARKS: Mapping[str, type] = {"npc_enters": ZoneSituation}
 """The keys that distinguish the dataclasses in a union."""
 
 Read = Callable[[Field], Any]
@@ -487,19 +514,17 @@ Read = Callable[[Field], Any]
 T = TypeVar("T")
 
 types_of = cache(get_type_hints)
-CELLS: Mapping[str, Cell] = MappingProxyType({cell.label: cell for cell in Cell})
+CELLS = {cell.label: cell for cell in Cell}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
-_SIMPLE: Mapping[Any, Read] = MappingProxyType(
-    {
-        str: Field.text,
-        bool: Field.truth,
-        Cell: lambda field: CELLS[field.choice(CELLS)],
-        Outcome: lambda field: Outcome(field.choice(_OUTCOMES)),
-    }
-)
+_SIMPLE: Mapping[Any, Read] = {
+    str: Field.text,
+    bool: Field.truth,
+    Cell: lambda field: CELLS[field.choice(CELLS)],
+    Outcome: lambda field: Outcome(field.choice(_OUTCOMES)),
+}
 
 MAX_RECEIVED = 300
-_SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
+_SCENARIO_FIELDS = {"ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
@@ -527,12 +552,14 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     def npc(field: Field) -> int:
         return field.whole(0, len(scenario.npcs) - 1)
 
+    def flaky(field: Field) -> str:
+        return field.some_text("describe what differed, or remove the key")
+
     reason, until = _optional(fields, "xfail", _xfail, (None, None))
+    how_to_name = "write the node id of the test, such as tests/test_safety.py::test_it"
     return Finding(
         id=name,
-        test=fields["test"].some_text(
-            "write the node id of the test, such as tests/test_safety.py::test_it"
-        ),
+        test=fields["test"].some_text(how_to_name),
         world=_world(fields["world"]),
         scenario=scenario,
         expect=_expect(fields["expect"], npc),
@@ -540,11 +567,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         perception=_optional(fields, "perception", _perceived),
         shrunk=_optional(fields, "shrunk", lambda field: _record(field, Shrunk)),
         rate=_optional(fields, "rate", _rate),
-        flaky=_optional(
-            fields,
-            "flaky",
-            lambda field: field.some_text("describe what differed, or remove the key"),
-        ),
+        flaky=_optional(fields, "flaky", flaky),
         xfail=reason,
         xfail_until=until,
     )
@@ -568,9 +591,8 @@ def content_of(path: Path) -> bytes:
         with open_regular(_at_the_end_of_links(path)) as file:
             return file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise CorpusError(
-            path, "a regular file that can be read", f"the error '{error.strerror or error}'"
-        ) from None
+        received = f"the error '{error.strerror or error}'"
+        raise CorpusError(path, "a regular file that can be read", received) from None
 
 
 def _at_the_end_of_links(path: Path) -> Path:
@@ -583,17 +605,18 @@ def _at_the_end_of_links(path: Path) -> Path:
     # lead to two locations in which a pull request cannot place files: the store of git-annex, and the same path in
     # another tree, to which build systems such as Bazel link.
     path = path.absolute()
-    real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
-    if real == folder / path.name or real.name.endswith(SUFFIX):
-        if real.is_relative_to(os.path.realpath(path.parents[:3][-1])):
+    real = Path(os.path.realpath(path))
+    own = Path(os.path.realpath(path.parent)) / path.name
+    if real == own or real.name.endswith(SUFFIX):
+        *_, root = path.parents[:3]
+        if real.is_relative_to(os.path.realpath(root)):
             return real
         if path.is_symlink() and real.parts[-4:] == path.parts[-4:]:
             return real
-    if any(
-        real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects"))
-        for above in path.parents
-    ):
-        return real
+    for above in path.parents:
+        store = os.path.realpath(above / ".git" / "annex" / "objects")
+        if real.is_relative_to(store):
+            return real
     fix = "replace the link with the file itself, or delete the link"
     raise CorpusError(path, "a file inside the corpus", "a link to a file outside it", fix)
 
@@ -601,7 +624,9 @@ def _at_the_end_of_links(path: Path) -> Path:
 def _optional(
     fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None
 ) -> Any:
-    return get(fields[key]) if key in fields else default
+    if key not in fields:
+        return default
+    return get(fields[key])
 
 
 def _world(field: Field) -> dict[str, Any]:
@@ -627,29 +652,29 @@ def _world(field: Field) -> dict[str, Any]:
 
 @cache
 def _keys_of(kind: Any) -> Keys:
-    needed = {*REQUIRED.get(kind, ())}
-    needed |= {
-        each.name
-        for each in fields_of(kind)
-        if each.default is MISSING and each.default_factory is MISSING
-    }
-    names = [each.name for each in fields_of(kind)]
-    return Keys(
-        tuple(name for name in names if name in needed),
-        tuple(name for name in names if name not in needed),
-    )
+    required = []
+    optional = []
+    for each in fields_of(kind):
+        has_default = each.default is not MISSING or each.default_factory is not MISSING
+        if has_default and each.name not in REQUIRED.get(kind, ()):
+            optional.append(each.name)
+        else:
+            required.append(each.name)
+    return Keys(tuple(required), tuple(optional))
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
     # `own` contains separate readers for some keys.
-    keys, types = _keys_of(kind), types_of(kind)
+    keys = _keys_of(kind)
+    types = types_of(kind)
     fields = field.mapping(keys)
+    values = {}
     # in the order of the keys, so that a function in ``own`` can rely on the values before its own
-    values = {
-        key: own[key](fields[key]) if key in own else _value(fields[key], types[key], own)
-        for key in keys.all
-        if key in fields
-    }
+    for key in keys.all:
+        if key in own and key in fields:
+            values[key] = own[key](fields[key])
+        elif key in fields:
+            values[key] = _value(fields[key], types[key], own)
     return _build(field, kind, values)
 
 
@@ -662,20 +687,23 @@ def _build(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T
 
 @cache
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    return get_origin(kind), tuple(each for each in get_args(kind) if each is not NoneType)
+    inner = [each for each in get_args(kind) if each is not NoneType]
+    return get_origin(kind), tuple(inner)
 
 
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     origin, inner = _parts(kind)
     # No value can be null, because a missing key means None. So an optional type is read as its first other type.
     if origin in (Union, UnionType):
-        marked = [(key, each) for key, each in MARKS.items() if each in inner]
-        keys = field.any_mapping() if marked else ()
-        return _value(field, next((each for key, each in marked if key in keys), inner[0]), own)
+        for key, each in MARKS.items():
+            if each in inner and key in field.any_mapping():
+                return _value(field, each, own)
+        return _value(field, inner[0], own)
     if origin is Literal:
         return field.choice(inner)
     if origin is Mapping:
-        return {key: _value(each, inner[1], own) for key, each in field.any_mapping().items()}
+        fields = field.any_mapping()
+        return {key: _value(each, inner[1], own) for key, each in fields.items()}
     if kind == tuple[float, float]:
         if len(field.items()) != 2:
             raise field.error("acceleration [m/s^2] and steering [rad]")
@@ -683,19 +711,21 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     if origin is tuple:
         return tuple(_value(each, inner[0], own) for each in field.items())
     is_signed = field.place[-1] in SIGNED
-    if kind is int:
-        return field.whole(-int(MAX_NUMBER), int(MAX_NUMBER)) if is_signed else field.whole()
     if kind is float:
         return field.number(-MAX_NUMBER if is_signed else 0.0)
+    if kind is int and is_signed:
+        return field.whole(-int(MAX_NUMBER), int(MAX_NUMBER))
+    if kind is int:
+        return field.whole()
     if kind in _SIMPLE:
         return _SIMPLE[kind](field)
     if kind is Instruction:
         kind = _kind_of(field)
     value = _record(field, kind, **own)
     if isinstance(value, Instruction):
-        for name in field.value:
+        for name, given in field.value.items():
             now = getattr(value, name)
-            if type(now) is float and now != field.value[name]:  # the gene has rounded the number
+            if type(now) is float and now != given:  # the gene has rounded the number
                 unit = {"slot": " s", "speed": " m/s"}.get(name, "")
                 raise field.at(name).error(f"a multiple of 0.1{unit}", f"write {now}")
     return value
@@ -714,16 +744,19 @@ def _kind_of(field: Field) -> type[Instruction]:
 def _scenario(field: Field) -> Scenario:
     fields = field.mapping(SCENARIO)
     ego = fields.pop("ego").mapping(EGO)
-    names = tuple(f"NPC {npc}" for npc in range(len(fields["npcs"].any_mapping())))
+    count = len(fields["npcs"].any_mapping())
+    names = tuple(f"NPC {npc}" for npc in range(count))
     npcs = fields["npcs"].mapping(Keys(names))
-    vehicles = fields["vehicles"].mapping(Keys((), names)) if "vehicles" in fields else {}
+    vehicles = {}
+    if "vehicles" in fields:
+        vehicles = fields["vehicles"].mapping(Keys((), names))
     values = {
         "npcs": tuple(_value(npcs[name], Chromosome, {}) for name in names),
         "seed": fields["seed"].whole(),
         "ego_lane": ego["lane"].whole(),
         "ego_speed": ego["speed"].number(),
         "gene_seconds": _optional(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
-        "traffic": _optional(fields, "traffic", lambda inner: inner.choice(tuple(STYLES)), PAPERS),
+        "traffic": _optional(fields, "traffic", lambda inner: inner.choice(STYLES), PAPERS),
         "vehicles": tuple(_optional(vehicles, name, _vehicle, CAR) for name in names),
     }
     return _build(field, Scenario, values)
@@ -731,11 +764,11 @@ def _scenario(field: Field) -> Scenario:
 
 def _vehicle(field: Field) -> VehicleType:
     if isinstance(field.value, str):
-        return READY[field.choice(tuple(READY))]
+        return READY[field.choice(READY)]
     if not isinstance(field.value, dict):
-        expected = f"{one_of(tuple(READY))}, or a mapping with a name and a size"
         raise field.error(
-            expected, "write `truck` or `{name: bus, length: 12.0, width: 2.5}`, for example"
+            f"{one_of(READY)}, or a mapping with a name and a size",
+            "write `truck` or `{name: bus, length: 12.0, width: 2.5}`, for example",
         )
     return _record(field, VehicleType)
 
@@ -746,47 +779,50 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
         return field.error(f"a {field.name} that can run", received=str(error)[:MAX_RECEIVED])
     # Translate the field of the error, such as npcs[0][3].cell, into keys of the file, and follow them as far as they
     # exist.
-    key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
-    others[:1] = [f"NPC {npc}" if key in ("npcs", "vehicles") else npc for npc in others[:1]]
-    inner = [
-        *_SCENARIO_FIELDS.get(key, (key,)),
-        *(int(part) if part.isdigit() else part for part in others),
-    ]
+    own_name = error.field.removeprefix(f"{field.place[-1]}.")
+    key, *others = re.findall(r"\w+", own_name) or [""]
+    if others and key in ("npcs", "vehicles"):
+        others[0] = f"NPC {others[0]}"
+    inner: list[str | int] = [*_SCENARIO_FIELDS.get(key, (key,))]
+    inner += [int(part) if part.isdigit() else part for part in others]
     place = field
-    for part in inner:
-        if not _has(place.value, part):
+    for step in inner:
+        if not _has(place.value, step):
             break
-        place = place.at(part)
+        place = place.at(step)
     if len(inner) == 3 and _has(place.value, "cell"):
         place = place.at("cell")
-    # REPAIR is advice for code, not for a file.
-    fix = (
-        error.fix if error.fix and error.fix != REPAIR else "correct the value, or delete the file"
-    )
+    fix = error.fix
+    if fix in ("", REPAIR):  # REPAIR is advice for code, not for a file
+        fix = "correct the value, or delete the file"
     return place.error(error.expected, fix, error.received[:MAX_RECEIVED])
 
 
 def _has(value: object, part: str | int) -> bool:
-    if isinstance(part, int):
-        return isinstance(value, list) and part < len(value)
+    if isinstance(value, list):
+        return isinstance(part, int) and part < len(value)
     return isinstance(value, dict) and part in value
 
 
 def _expect(field: Field, npc: Read) -> Expect:
     fields = field.mapping(_keys_of(Expect))
     if fields["outcome"].choice(_OUTCOMES) == Outcome.COLLISION:
-        # An NPC on a crossing path hits the ego in a conflict zone. Every other NPC is in a cell around the ego.
-        with_npc = ("npc", "zone" if "zone" in fields else "cell", "side")
-        is_fixed = not {"npc", "zone", "cell", "situation"} & {*fields}  # it hit a fixed object
-        field.mapping(Keys(("side",) if is_fixed else with_npc, tuple(fields)))
+        required = ["side"]
+        # otherwise, the ego hit a fixed object
+        if not fields.keys().isdisjoint({"npc", "zone", "cell", "situation"}):
+            # An NPC on a crossing path hits the ego in a conflict zone. Every other NPC is in a cell around the ego.
+            required = ["npc", "zone" if "zone" in fields else "cell", "side"]
+        field.mapping(Keys(tuple(required), tuple(fields)))
     if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
         raise fields["mistake"].error("this key only with the fault 'entered-lane'")
+
+    def failure(inner: Field) -> str:
+        return inner.some_text("name the class of the exception, such as AssertionError")
+
     return _record(
         field,
         Expect,
-        failure=lambda inner: inner.some_text(
-            "name the class of the exception, such as AssertionError"
-        ),
+        failure=failure,
         npc=npc,
         zone=lambda inner: inner.choice(ZONES),
         mistake=lambda inner: inner.choice(LANE_CHANGES),
@@ -795,9 +831,8 @@ def _expect(field: Field, npc: Read) -> Expect:
 
 def _xfail(field: Field) -> tuple[str, date]:
     fields = field.mapping(Keys(("reason", "until")))
-    return fields["reason"].some_text(
-        'write the reason in quotes, as in reason: "issue 12"'
-    ), fields["until"].day()
+    reason = fields["reason"].some_text('write the reason in quotes, as in reason: "issue 12"')
+    return reason, fields["until"].day()
 
 
 def _rate(field: Field) -> FailureRate:
@@ -808,7 +843,8 @@ def _rate(field: Field) -> FailureRate:
 
 def _perceived(field: Field) -> Sight:
     fields = field.mapping(Keys((), tuple(types_of(Sight))))
-    return _build(field, Sight, {name: inner.value for name, inner in fields.items()})
+    values = {name: inner.value for name, inner in fields.items()}
+    return _build(field, Sight, values)
 
 
 class Saved(NamedTuple):
@@ -844,10 +880,10 @@ class Saved(NamedTuple):
     @property
     def needs_own_process(self) -> bool:
         """True if a run can end the process, hang or exhaust the memory."""
-        expect = None if self.finding is None else self.finding.expect
-        return expect is not None and (
-            self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError"
-        )
+        if self.finding is None:
+            return False
+        expect = self.finding.expect
+        return expect.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError"
 
     def __repr__(self) -> str:
         return visible(f"<saved {self.id}>")
@@ -859,27 +895,30 @@ def named_file(given: str) -> Path:
     Raises:
         CorpusError: if there is no such file below the current folder, or more than one.
     """
-    if (path := Path(given)).is_file():
+    path = Path(given)
+    if path.is_file():
         return path
-    name = given.rpartition("[")[2].removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
+    _, _, name = given.rpartition("[")
+    name = name.removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
     files = {file: file.name.removesuffix(SUFFIX) for file in files_below(Path())}
     found = [file for file, other in files.items() if other == name]
     if len(found) == 1:
         return found[0]
+    received = "no such file or id"
+    fix = f"`{command('pytest_pafot', 'corpus', 'list')}` lists the files"
+    names = list(dict.fromkeys(files.values()))
+    near = [each for each in names if name in each]
+    if not near:
+        near = difflib.get_close_matches(name, names)
+    if found:
+        received = f"an id that occurs in {len(found)} files"
+        fix = f"give one of the files: {', '.join(map(str, found))}"
+    elif near:
+        fix = f"did you mean {' or '.join(near[:3])}?"
     expected = (
         "the file of a saved scenario, or the id of a saved scenario below the current folder"
     )
-    if found:
-        fix = f"give one of the files: {', '.join(map(str, found))}"
-        raise CorpusError(path, expected, f"an id that occurs in {len(found)} files", fix)
-    names = list(dict.fromkeys(files.values()))
-    near = [each for each in names if name in each] or difflib.get_close_matches(name, names)
-    fix = (
-        f"did you mean {' or '.join(near[:3])}?"
-        if near
-        else f"`{command('pytest_pafot', 'corpus', 'list')}` lists the files"
-    )
-    raise CorpusError(path, expected, "no such file or id", fix)
+    raise CorpusError(path, expected, received, fix)
 
 
 def saved_in(folder: Path) -> list[Saved]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import string
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
 from enum import Enum
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +28,7 @@ class CorpusWriteError(RuntimeError):
     """An error for a finding that could not be written."""
 
     def __init__(self, path: Path, expected: str, received: str, fix: str) -> None:
-        super().__init__(
-            str(FieldError(field=f"{path}", expected=expected, received=received, fix=fix))
-        )
-        self.path = path
+        super().__init__(str(FieldError(str(path), expected, received, fix)))
 
 
 def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
@@ -43,20 +42,23 @@ def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
     content = text_of(finding).encode()
     if len(content) > MAX_BYTES:
         # The reader would reject the file, so the finding would be lost.
-        expected, fix = (
+        raise CorpusWriteError(
+            path,
             f"a finding of at most {MAX_BYTES // 1024} KiB",
+            f"one of {-(-len(content) // 1024)} KiB",
             "use fewer NPCs or fewer instructions per NPC",
         )
-        raise CorpusWriteError(path, expected, f"one of {-(-len(content) // 1024)} KiB", fix)
     try:
         if not over:
             return write_if_free(path, content)
         write_whole(path, content)
         return True
     except OSError as error:
-        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
         raise CorpusWriteError(
-            path, "a file for the finding", f"the error '{error.strerror or error}'", fix
+            path,
+            "a file for the finding",
+            f"the error '{error.strerror or error}'",
+            way_out(error, f"or choose another folder with {flag('corpus')}"),
         ) from error
 
 
@@ -91,13 +93,13 @@ def free_path(
     """
     # The id is a hash of the scenario before shrinking. If the file with that id was updated to another failure, and
     # the first failure is found again, the id is taken. The new file then gets the suffix -2, -3 and so on.
-    number = 1
-    while True:
-        name = finding.id if number == 1 else f"{finding.id}-{number}"
+    name = finding.id
+    for number in count(2):
         path = folder / f"{name}{SUFFIX}"
         if not os.path.lexists(path) or _holds(path, finding, is_guard=path in passed):
-            return path, replace(finding, id=name)
-        number += 1
+            break
+        name = f"{finding.id}-{number}"
+    return path, replace(finding, id=name)
 
 
 def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
@@ -106,52 +108,47 @@ def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
     except CorpusError:
         return False  # a file that the user may still repair is not overwritten
     # A guard is a file whose replay passes. If it has another scenario, for example a shrunk one, both are kept.
-    return saved.signature == finding.signature and not (
-        is_guard and saved.scenario != finding.scenario
-    )
+    if is_guard and saved.scenario != finding.scenario:
+        return False
+    return saved.signature == finding.signature
 
 
 # The content of a file.
 
 WIDTH = 120
 
-_SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
+_SAFE = {*string.ascii_letters, *string.digits, *"_.+-/()<>=*' "}
 _BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
-_TRUTHS = frozenset("yYnN")  # booleans in YAML 1.1, which PyYAML reads as strings
+_TRUTHS = {"y", "Y", "n", "N"}  # booleans in YAML 1.1, which PyYAML reads as strings
 _RESOLVER: Any = yaml.resolver.Resolver()
 
 
 def text_of(finding: Finding) -> str:
     """Return the content of a corpus file."""
-    # not inside brackets
-    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)
-
     xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
         xfail = f"xfail: {{reason: {_quoted(finding.xfail)}, until: {finding.xfail_until}}}"
-    rate = finding.rate
+    test = _quoted(finding.test)
+    if _is_plain(finding.test, also=":[],"):  # not inside brackets
+        test = finding.test
+    found = asdict(finding.found).items()
     # People read these files in pull requests, so the scenario and its expected result come first.
-    lines = [
-        f"pafot: {VERSION}",
-        *_scenario_lines(finding.scenario),
-        *_expect_lines(finding.expect),
-        *_filled(
-            "found: ",
-            {name: value for name, value in asdict(finding.found).items() if value is not None},
-        ),
-        *(
-            []
-            if finding.perception is None
-            else _filled("perception: ", finding.perception.imperfections)
-        ),
-        *([] if finding.shrunk is None else _filled("shrunk: ", _known(asdict(finding.shrunk)))),
-        *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),
-        *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
-        f"test: {test}",
-        *_filled("world: ", finding.world),
-        xfail,
-    ]
-    return "\n".join(lines) + "\n"
+    lines = [f"pafot: {VERSION}"]
+    lines += _scenario_lines(finding.scenario)
+    lines += _expect_lines(finding.expect)
+    lines += _filled("found: ", {name: value for name, value in found if value is not None})
+    if finding.perception is not None:
+        lines += _filled("perception: ", finding.perception.imperfections)
+    if finding.shrunk is not None:
+        lines += _filled("shrunk: ", _known(asdict(finding.shrunk)))
+    if finding.rate is not None:
+        lines += _filled("rate: ", asdict(finding.rate))
+    if finding.flaky is not None:
+        lines.append(f"flaky: {_quoted(finding.flaky)}")
+    lines.append(f"test: {test}")
+    lines += _filled("world: ", finding.world)
+    lines.append(f"{xfail}\n")
+    return "\n".join(lines)
 
 
 def _known(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,28 +165,29 @@ def scenario_data(scenario: Scenario) -> dict[str, Any]:
         fields["gene_seconds"] = scenario.gene_seconds
     if scenario.traffic != PAPERS:
         fields["traffic"] = scenario.traffic
-    vehicles = {
-        f"NPC {npc}": each.plain() for npc, each in enumerate(scenario.vehicles) if each != CAR
-    }
-    chains = {
-        f"NPC {npc}": [each.in_file() for each in chain] for npc, chain in enumerate(scenario.npcs)
-    }
-    return fields | ({"vehicles": vehicles} if vehicles else {}) | {"npcs": chains}
+    vehicles = {}
+    for npc, vehicle in enumerate(scenario.vehicles):
+        if vehicle != CAR:
+            vehicles[f"NPC {npc}"] = vehicle.plain()
+    if vehicles:
+        fields["vehicles"] = vehicles
+    chains = fields["npcs"] = {}
+    for npc, chain in enumerate(scenario.npcs):
+        chains[f"NPC {npc}"] = [each.in_file() for each in chain]
+    return fields
 
 
 def _scenario_lines(scenario: Scenario) -> Iterator[str]:
-    fields = scenario_data(scenario)
-    npcs = fields.pop("npcs")
     yield "scenario:"
-    for name, value in fields.items():
-        yield from (
-            _filled(f"  {name}: ", value)
-            if isinstance(value, dict)
-            else [f"  {name}: {_flow(value)}"]
-        )
-    yield "  npcs:"
-    for name, chain in npcs.items():
-        yield from _filled(f"    {name}: ", chain)
+    for name, value in scenario_data(scenario).items():
+        if name == "npcs":
+            yield "  npcs:"
+            for npc, chain in value.items():
+                yield from _filled(f"    {npc}: ", chain)
+        elif isinstance(value, dict):
+            yield from _filled(f"  {name}: ", value)
+        else:
+            yield f"  {name}: {_scalar(value)}"
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
@@ -197,39 +195,33 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values["check"] = _known(values["check"] or {})
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
-    entries = {
-        name: value
-        for name, value in values.items()
-        if value not in (None, "", {}) or name == "failure"
-    }
-    if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
+    entries = {}
+    is_block = False
+    for name, value in values.items():
+        if value not in (None, "", {}) or name == "failure":
+            entries[name] = value
+            is_block = is_block or (isinstance(value, str) and "\n" in value)
+    if not is_block:
         yield from _filled("expect: ", entries)
         return
     yield "expect:"
-    yield from _block(entries)
-
-
-def _block(entries: Mapping[str, Any]) -> Iterator[str]:
-    for key, value in entries.items():
-        if isinstance(value, str) and _fits_literal(value):
-            # "|-" means that the string does not end with a line break.
-            yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
-            yield from (
-                f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n")
-            )
-        else:
-            yield f"  {key}: {_flow(value)}"
+    for name, value in entries.items():
+        if not isinstance(value, str) or not _fits_literal(value):
+            yield f"  {name}: {_flow(value)}"
+            continue
+        # "|-" means that the string does not end with a line break.
+        yield f"  {name}: |" if value.endswith("\n") else f"  {name}: |-"
+        for line in value.removesuffix("\n").split("\n"):
+            yield f"    {line}" if line else ""
 
 
 def _fits_literal(text: str) -> bool:
     # YAML reads a literal block unchanged only if all of this is true.
     lines = text.removesuffix("\n").split("\n")
-    is_plain = all(line.replace("\t", "").isprintable() for line in lines)
-    return (
-        "\n" in text
-        and is_plain
-        and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
-    )
+    is_printable = all(line.replace("\t", "").isprintable() for line in lines)
+    if "\n" not in text or not is_printable:
+        return False
+    return all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
 
 
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
@@ -237,37 +229,44 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
     # last line ends with `tail`. `column` is the indentation of `head`.
     if not value:
         return [head + _flow(value) + tail]
-    is_mapping = isinstance(value, Mapping)
-    entries = list(value.items()) if is_mapping else [(None, each) for each in value]
+    opening, closing = "[]"
+    entries = [("", each) for each in value]
+    if isinstance(value, Mapping):
+        opening, closing = "{}"
+        entries = [(f"{_scalar(key)}: ", each) for key, each in value.items()]
+    inner = column + len(head) + 1
+    # The first line is indented for now, so that the length of each line is its last column.
+    lines = [" " * column + head + opening]
     # A value that is too long for its line is wrapped by this function, below its own first entry. The entry after it
     # starts a new line.
-    opening, closing = "{}" if is_mapping else "[]"
-    lines, inner, is_broken = [head + opening], column + len(head) + 1, False
-    for index, (key, each) in enumerate(entries):
-        start = "" if key is None else f"{_scalar(key)}: "
-        end = closing + tail if index == len(entries) - 1 else ","
-        whole = start + _flow(each) + end
-        is_whole = inner + len(whole) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
-        first, *others = [whole] if is_whole else _filled(start, each, end, inner)
-        at = len(lines[-1]) + (column if len(lines) == 1 else 0)
-        if index == 0:
-            lines[-1] += first
-        elif is_whole and not is_broken and at + 1 + len(first) <= WIDTH:
+    is_broken = False
+    for index, (start, each) in enumerate(entries, 1):
+        end = closing + tail if index == len(entries) else ","
+        first = start + _flow(each) + end
+        others: list[str] = []
+        is_whole = True
+        if inner + len(first) > WIDTH and isinstance(each, (Mapping, list, tuple)):
+            is_whole = False
+            first, *others = _filled(start, each, end, inner)
+        has_room = len(lines[-1]) + 1 + len(first) <= WIDTH
+        if index == 1:
+            lines[0] += first
+        elif is_whole and not is_broken and has_room:
             lines[-1] += f" {first}"
         else:
             lines.append(" " * inner + first)
         lines += others
         is_broken = bool(others)
+    lines[0] = lines[0].removeprefix(" " * column)
     return lines
 
 
 def _flow(value: object) -> str:
     if isinstance(value, Mapping):
-        return (
-            "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
-        )
+        entries = [f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()]
+        return f"{{{', '.join(entries)}}}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(_flow, value)) + "]"
+        return f"[{', '.join(map(_flow, value))}]"
     return _scalar(value)
 
 
@@ -275,24 +274,29 @@ def _scalar(value: object) -> str:
     if value is None:
         return "null"
     if isinstance(value, bool):
-        return "true" if value else "false"
+        return str(value).lower()
     if isinstance(value, Cell):
         return value.label
     if isinstance(value, int):
         return str(int(value))
     if isinstance(value, float):
         return _number(value)
-    text = str(value.value if isinstance(value, Enum) else value)
-    return text if _is_plain(text) else _quoted(text)
+    if isinstance(value, Enum):
+        value = value.value
+    text = str(value)
+    if not _is_plain(text):
+        return _quoted(text)
+    return text
 
 
 def _is_plain(text: str, also: str = "") -> bool:
     # Whether YAML 1.1 and 1.2 read a string unchanged without quotes. `also` contains additional characters to allow.
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
-    is_bounded = not text.endswith((" ", ":")) and ": " not in text and text not in _TRUTHS
+    if text.endswith((" ", ":")) or ": " in text or text in _TRUTHS:
+        return False
     tag = _RESOLVER.resolve(yaml.ScalarNode, text, (True, False))
-    return is_bounded and bool(tag == "tag:yaml.org,2002:str")
+    return bool(tag == "tag:yaml.org,2002:str")
 
 
 def _number(value: float) -> str:
@@ -301,16 +305,18 @@ def _number(value: float) -> str:
         return text.replace("inf", ".inf")
     # YAML 1.1 reads 1e-05 as a string, and 1.0e-05 as a number.
     mantissa, exponent, power = text.partition("e")
-    return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
+    if exponent and "." not in mantissa:
+        return f"{mantissa}.0e{power}"
+    return text
 
 
 def _quoted(text: str) -> str:
-    return '"' + "".join(map(_escaped, text)) + '"'
+    return f'"{"".join(map(_escaped, text))}"'
 
 
 def _escaped(character: str) -> str:
     if character in '"\\':
-        return "\\" + character
+        return f"\\{character}"
     if character.isprintable():
         return character
     if "\ud800" <= character <= "\udfff":

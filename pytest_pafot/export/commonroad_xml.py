@@ -26,7 +26,9 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, X, Y
 
 DECIMALS = 9  # with 4, commonroad-io's default, positions would be up to 0.1 mm off
-PROBLEM, FIRST_LANELET = 1000, 1001  # ids are unique in a file: the ego has 1, NPC 0 has 2
+# Ids are unique in a file: the ego has 1, NPC 0 has 2.
+PROBLEM = 1000
+FIRST_LANELET = 1001
 # The types of vehicles by the last words of their names. CommonRoad has none for vans, which become cars.
 TYPES = {"truck": ObstacleType.TRUCK, "motorcycle": ObstacleType.MOTORCYCLE}
 NO_DATE = b"2000-01-01"  # replaces today's date, so that equal runs give equal files
@@ -44,22 +46,23 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     scenario.add_objects(LaneletNetwork.create_from_lanelet_list(lanelets))
     states = states_of(trace)
     for vehicle, (length, width) in enumerate(trace.sizes.tolist()):
-        shape, first, later = (
-            Rectangle(length, width),
-            _first(states[0, vehicle]),
-            enumerate(states[1:, vehicle], 1),
-        )
+        shape = Rectangle(length, width)
+        first = _first(states[0, vehicle])
+        later = enumerate(states[1:, vehicle], 1)
         rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
-        driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
+        driven = None
+        if rest:
+            driven = TrajectoryPrediction(Trajectory(1, rest), shape)
         kind = trace.vehicle_type(vehicle).kind
         obstacle = TYPES.get(kind, ObstacleType.CAR)
         scenario.add_objects(DynamicObstacle(vehicle + 1, obstacle, shape, first, driven))
     # The goal of the planning problem is the time of the last tick.
     end = max(trace.ticks, 1)
     goal = GoalRegion([CustomState(time_step=Interval(end, end))])
+    problem = PlanningProblem(PROBLEM, _first(states[0, 0]), goal)
     writer = CommonRoadFileWriter(
         scenario,
-        PlanningProblemSet([PlanningProblem(PROBLEM, _first(states[0, 0]), goal)]),
+        PlanningProblemSet([problem]),
         author="pytest-pafot",
         affiliation="",
         source=finding.id,
@@ -81,9 +84,8 @@ def _first(state: FloatArray) -> InitialState:
 def _plain(state: FloatArray) -> dict[str, object]:
     # The units are m, rad, m/s and m/s^2.
     orientation, velocity, acceleration = state[[HEADING, SPEED, ACCELERATION]].tolist()
-    position = np.array(state[[X, Y]])
     return {
-        "position": position,
+        "position": np.array(state[[X, Y]]),
         "orientation": orientation,
         "velocity": velocity,
         "acceleration": acceleration,

@@ -7,8 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -37,22 +36,32 @@ def states_of(trace: Trace) -> FloatArray:
 
 def centre_line(lane: Lane) -> FloatArray:
     """Return the points [m] of a lane's centre line, with y to the left, as an array of shape [points, 2]."""
-    # A straight lane has two points.
-    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
+    points = lane.points
+    if not points:  # a straight lane
+        end_x = lane.x + lane.length * np.cos(lane.heading)
+        end_y = lane.y + lane.length * np.sin(lane.heading)
+        points = ((lane.x, lane.y), (end_x, end_y))
+    line: FloatArray = np.array(points) * (1, -1)
     # On a closed track, a run may follow the lane for several laps. The line is cut to one lap, because tools would
     # treat a line that passes the same position twice as a loop, and remove it.
-    pieces, to_start = np.diff(line, axis=0), line[0] - line[:-1]
+    pieces = np.diff(line, axis=0)
+    to_start = line[0] - line[:-1]
     share = (to_start * pieces).sum(axis=1) / (pieces**2).sum(axis=1)
-    beside = np.hypot(*(to_start - share[:, None] * pieces).T)
-    passes = (share > 0) & (share <= 1) & (beside < lane.width / 2) & (pieces @ pieces[0] > 0)
-    return line[: passes.argmax() + 1] if passes.any() else line
+    off = to_start - share[:, None] * pieces
+    is_close = np.hypot(*off.T) < lane.width / 2
+    is_ahead = pieces @ pieces[0] > 0
+    passes = (share > 0) & (share <= 1) & is_close & is_ahead
+    if passes.any():
+        return line[: passes.argmax() + 1]
+    return line
 
 
 def tangents(line: FloatArray) -> FloatArray:
     """Return a line's unit tangents, from second-order differences, as an array of shape [points, 2]."""
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-    slopes: FloatArray = np.gradient(line, along, axis=0, edge_order=2 if len(line) > 2 else 1)
+    lengths = np.hypot(*np.diff(line, axis=0).T)
+    along = np.cumsum([0.0, *lengths])
+    order: Any = min(2, len(line) - 1)
+    slopes = np.gradient(line, along, axis=0, edge_order=order)
     unit: FloatArray = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
     return unit
 
@@ -60,30 +69,29 @@ def tangents(line: FloatArray) -> FloatArray:
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
     """Return the points [m] of a lane's left and right edges, with y to the left, as arrays of shape [points, 2]."""
     line = centre_line(lane)
-    left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
+    quarter_turn = np.array([[0, 1], [-1, 0]])
+    left = tangents(line) @ quarter_turn * lane.width / 2
     return line + left, line - left
 
 
 def name_of(vehicle: int) -> str:
     """Return a vehicle's name in exported files: ``ego``, or ``npc0`` for NPC 0 of the scenario."""
-    return f"npc{vehicle - 1}" if vehicle else "ego"
+    if vehicle == 0:
+        return "ego"
+    return f"npc{vehicle - 1}"
 
 
 # For each format, the module of this package and the function that exports.
-FORMATS: Mapping[str, str] = MappingProxyType(
-    {
-        "commonroad": "commonroad_xml:export",
-        "csv": "exporter:csv_table",
-        "mcap": "foxglove_mcap:export",
-        "xosc": "openscenario:export",
-        "xosc-1.0": "openscenario:export_1_0",
-    }
-)
+FORMATS = {
+    "commonroad": "commonroad_xml:export",
+    "csv": "exporter:csv_table",
+    "mcap": "foxglove_mcap:export",
+    "xosc": "openscenario:export",
+    "xosc-1.0": "openscenario:export_1_0",
+}
 
 # For each library that a format needs, the extra of pytest-pafot that installs it.
-EXTRAS: Mapping[str, str] = MappingProxyType(
-    {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
-)
+EXTRAS = {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
 
 
 class Exporter(Protocol):
@@ -104,9 +112,7 @@ def exporter(name: str) -> Exporter:
         ExportError: if the format is unknown or a library is missing.
     """
     if name not in FORMATS:
-        raise ExportError(
-            field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name)
-        )
+        raise ExportError("--to", f"one of {', '.join(FORMATS)}", repr(name))
     module, _, function = FORMATS[name].partition(":")
     try:
         made: Exporter = getattr(import_module(f"{__package__}.{module}"), function)
@@ -115,10 +121,10 @@ def exporter(name: str) -> Exporter:
         if library not in EXTRAS:
             raise
         raise ExportError(
-            field=f"--to {name}",
-            expected=f"the library {library}",
-            received="a Python environment without it",
-            fix=f"run `{install(EXTRAS[library])}`",
+            f"--to {name}",
+            f"the library {library}",
+            "a Python environment without it",
+            f"run `{install(EXTRAS[library])}`",
         ) from error
     return made
 
@@ -141,11 +147,12 @@ COLUMNS = (
 
 def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """Return a CSV file whose numbers have all digits, so that reading the file restores the exact states."""
-    rows = (
-        [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
-        for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)
-        for number, (state, size) in enumerate(zip(vehicles, trace.sizes.tolist(), strict=True))
-    )
+    rows = []
+    sizes = trace.sizes.tolist()
+    for time, states in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
+        for number, state in enumerate(states):
+            state[LANE] = int(state[LANE])
+            rows.append([time, name_of(number), *state, *sizes[number]])
     return {f"{finding.id}.csv": csv_text(COLUMNS, rows).encode()}
 
 
@@ -156,38 +163,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|FINDING",
         help="export this saved scenario, given by its file or id",
     )
-    of_to = f"write this format: {', '.join(FORMATS)}"
-    parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
-    of_ads = "drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument"
-    parser.add_argument("--ads", metavar="ADS", help=of_ads)
+    parser.add_argument(
+        "--to",
+        required=True,
+        metavar="FORMAT",
+        help=f"write this format: {', '.join(FORMATS)}",
+    )
+    parser.add_argument(
+        "--ads",
+        metavar="ADS",
+        help="drive the ego with this policy: a module of example_ads, module:factory, or module:factory:argument",
+    )
     add_world_arguments(
         parser, "required if the world of the file is code, such as wrappers", has_config=False
     )
-    of_out = "write to this folder (default: the current folder)"
-    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="write to this folder (default: the current folder)",
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the scenario of a finding, and write the run to files. Return the exit code."""
-    export, saved = exporter(arguments.to), load(arguments.finding)
+    export = exporter(arguments.to)
+    saved = load(arguments.finding)
     if arguments.ads is None:
-        expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
-        received = "none. A file contains the instructions of the NPCs, but not the trajectories of the vehicles"
-        raise ExportError(field="--ads", expected=expected, received=received)
+        raise ExportError(
+            "--ads",
+            f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory",
+            "none. A file contains the instructions of the NPCs, but not the trajectories of the vehicles",
+        )
     made = chosen_world(arguments.world, None, [arguments.ads])
-    world = saved.world if made is None else file_or_named_world(saved.finding.world, made)
+    if made is None:
+        world = saved.world
+        where = "the world of the file"
+        fix = "use the policy of the test"
+    else:
+        world = file_or_named_world(saved.finding.world, made)
+        where = arguments.world
+        fix = "use the policy of the test, and its world if that is code"
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     error = driven.trace.error
-    if (
-        error is not None
-        and not driven.trace.actions
-        and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
-    ):
-        expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
-        fix = "use the policy of the test" + (
-            "" if made is None else ", and its world if that is code"
-        )
-        raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
+    is_expected = saved.expect.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
+    if error is not None and not driven.trace.actions and not is_expected:
+        raise ExportError("--ads", f"a policy that drives in {where}", error.text, fix)
     files = export(saved.finding, driven.trace)
     with postponed():  # one of several files is useless alone, such as a scenario without its road
         for name, content in files.items():
@@ -196,10 +218,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             sys.stdout.write(f"{arguments.out / name}\n")
     # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
-        event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
-        world_too = "" if arguments.world is None else " and the world"
+        needed = "the policy" if arguments.world is None else "the policy and the world"
         sys.stderr.write(
-            f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
-            f"{driven.duration:.1f} s. Did you pass the policy{world_too} of its test?\n"
+            f"export: {saved.id} was saved with {saved.expect.outcome} at {saved.expect.time:.1f} s, but this run "
+            f"ended with {driven.outcome} after {driven.duration:.1f} s. Did you pass {needed} of its test?\n"
         )
     return 0

@@ -22,18 +22,16 @@ from foxglove.messages import (
 )
 
 from pytest_pafot import Trace
-from pytest_pafot.export.exporter import edges, name_of, states_of
+from pytest_pafot.export.exporter import COLUMNS, edges, name_of, states_of
 from pytest_pafot.findings.finding import Finding
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5  # height of the boxes that show vehicles [m]
-EGO, NPC, EDGE = (
-    Color(r=0.1, g=0.5, b=0.9, a=1),
-    Color(r=0.9, g=0.4, b=0.1, a=1),
-    Color(r=0.6, g=0.6, b=0.6, a=1),
-)
+EGO = Color(r=0.1, g=0.5, b=0.9, a=1)
+NPC = Color(r=0.9, g=0.4, b=0.1, a=1)
+EDGE = Color(r=0.6, g=0.6, b=0.6, a=1)
 # The names of the columns of the states, in their order.
-NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
+NUMBERS = COLUMNS[2:-2]
 SCHEMA = {
     "type": "object",
     "properties": {
@@ -57,26 +55,28 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
     The topics ``/road`` and ``/vehicles`` are for a 3D panel, and ``/states`` is for plots.
     """
-    content, context = io.BytesIO(), Context()
+    content = io.BytesIO()
+    context = Context()
     with open_mcap(content, context=context):
-        road, vehicles = (
-            SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles")
-        )
+        road = SceneUpdateChannel("/road", context=context)
+        vehicles = SceneUpdateChannel("/vehicles", context=context)
         numbers = Channel("/states", schema=SCHEMA, context=context)
         lines = []
-        for line in (each for lane in trace.lanes for each in edges(lane)):
-            points = [Point3(x=x, y=y, z=0) for x, y in line.tolist()]
-            lines.append(LinePrimitive(points=points, thickness=0.15, color=EDGE))
+        for lane in trace.lanes:
+            for line in edges(lane):
+                points = [Point3(x=x, y=y, z=0) for x, y in line.tolist()]
+                lines.append(LinePrimitive(points=points, thickness=0.15, color=EDGE))
         entity = SceneEntity(frame_id="world", id="road", timestamp=Timestamp(sec=0), lines=lines)
         road.log(SceneUpdate(entities=[entity]), log_time=0)
         for time, states in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
             at = round(time * NANOSECONDS)
-            boxes = [_box(number, trace, state, at) for number, state in enumerate(states)]
+            boxes = []
+            told = []
+            for number, state in enumerate(states):
+                boxes.append(_box(number, trace, state, at))
+                values = zip(NUMBERS, state, strict=True)
+                told.append({"name": name_of(number), **dict(values)})
             vehicles.log(SceneUpdate(entities=boxes), log_time=at)
-            told = [
-                {"name": name_of(number), **dict(zip(NUMBERS, state, strict=True))}
-                for number, state in enumerate(states)
-            ]
             numbers.log({"time": time, "vehicles": told}, log_time=at)
     return {f"{finding.id}.mcap": content.getvalue()}
 
@@ -88,7 +88,12 @@ def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:
     cube = CubePrimitive(
         pose=Pose(
             position=Vector3(x=x, y=y, z=HEIGHT / 2),
-            orientation=Quaternion(x=0, y=0, z=math.sin(heading / 2), w=math.cos(heading / 2)),
+            orientation=Quaternion(
+                x=0,
+                y=0,
+                z=math.sin(heading / 2),
+                w=math.cos(heading / 2),
+            ),
         ),
         size=Vector3(x=length, y=width, z=HEIGHT),
         color=NPC if number else EGO,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
+from functools import partial
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,28 +25,23 @@ NO_DATE = "2000-01-01T00:00:00"  # replaces today's date, so that equal runs giv
 def road_file(name: str, trace: Trace) -> bytes:
     """Return an OpenDRIVE file with a single road if all lanes are straight and adjacent, or else a road per lane."""
     drive = xodr.OpenDrive(name)
-    for number, group in enumerate(
-        [trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]
-    ):
+    groups: list[Sequence[Lane]] = [(lane,) for lane in trace.lanes]
+    if _are_one(trace.lanes):
+        groups = [trace.lanes]
+    for number, group in enumerate(groups):
         # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
-        plan, section, parts = (
-            xodr.PlanView(),
-            xodr.LaneSection(0, xodr.standard_lane()),
-            xodr.Lanes(),
-        )
+        plan = xodr.PlanView()
         for geometry, start, heading in _geometries(group[0]):
             plan.add_fixed_geometry(geometry, *start.tolist(), heading)
+        section = xodr.LaneSection(0, xodr.standard_lane())
         for lane in group:
             section.add_right_lane(xodr.Lane(lane_type=xodr.LaneType.driving, a=lane.width))
+        parts = xodr.Lanes()
         parts.add_laneoffset(xodr.LaneOffset(0, group[0].width / 2))
         parts.add_lanesection(section)
         road = xodr.Road(number, plan, parts)
-        road.add_type(
-            xodr.RoadType.motorway,
-            0,
-            speed=max(lane.speed_limit for lane in group),
-            speed_unit="m/s",
-        )
+        speed = max(lane.speed_limit for lane in group)
+        road.add_type(xodr.RoadType.motorway, 0, speed=speed, speed_unit="m/s")
         road.add_elevation(0, 0, 0, 0, 0)
         drive.add_road(road)
     element = drive.get_element()
@@ -54,15 +51,19 @@ def road_file(name: str, trace: Trace) -> bytes:
 
 def _are_one(lanes: Sequence[Lane]) -> bool:
     # True if the lanes are straight, start and end together, and each touches the right edge of the previous one.
+    if any(lane.points for lane in lanes):
+        return False
     first = lanes[0]
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2
-    x, y = first.x - right * math.sin(first.heading), first.y + right * math.cos(first.heading)
-    there = np.stack(
-        [x, y, np.full(len(lanes), first.heading), np.full(len(lanes), first.length)], axis=-1
-    )
-    given = [(lane.x, lane.y, lane.heading, lane.length) for lane in lanes]
-    return not any(lane.points for lane in lanes) and np.allclose(given, there, atol=1e-6)
+    x = first.x - right * math.sin(first.heading)
+    y = first.y + right * math.cos(first.heading)
+    for lane, lane_x, lane_y in zip(lanes, x, y, strict=True):
+        given = (lane.x, lane.y, lane.heading, lane.length)
+        there = (lane_x, lane_y, first.heading, first.length)
+        if not np.allclose(given, there, atol=1e-6):
+            return False
+    return True
 
 
 def text_of(element: ElementTree.Element) -> bytes:
@@ -80,15 +81,18 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
         return
     # Between two points of a curve, the piece is a cubic with the direction of the line at both points (Hermite).
     directions = tangents(line)
-    for start, end, first, last in zip(line, line[1:], directions, directions[1:], strict=False):
+    for (start, end), (first, last) in zip(pairwise(line), pairwise(directions), strict=True):
         chord = end - start
         length = math.hypot(*chord)
         # In the coordinates of the piece, the start is at the origin, and the first direction is ahead.
-        turned = np.array([first, (-first[1], first[0])])
-        u, v = turned @ chord, turned @ last * length
-        to, leaving, entering = u, np.array([length, 0.0]), v
-        c, d = 3 * to - 2 * leaving - entering, leaving + entering - 2 * to
-        cubic = xodr.ParamPoly3(0, length, c[0], d[0], 0, 0, c[1], d[1])
+        sideways = (-first[1], first[0])
+        turned = np.array([first, sideways])
+        to = turned @ chord
+        leaving = np.array([length, 0.0])
+        entering = turned @ last * length
+        c_x, c_y = 3 * to - 2 * leaving - entering
+        d_x, d_y = leaving + entering - 2 * to
+        cubic = xodr.ParamPoly3(0, length, c_x, d_x, 0, 0, c_y, d_y)
         yield cubic, start, math.atan2(first[1], first[0])
 
 
@@ -101,21 +105,23 @@ CATEGORIES = {
     "motorcycle": xosc.VehicleCategory.motorbike,
 }
 # Limits of speed [m/s] and acceleration [m/s^2], so high that every trajectory can be followed.
-ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
+ANY_SPEED = 100.0
+ANY_ACCELERATION = 20.0
 
 
 def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
     """Return an OpenSCENARIO file of version 1.2, or of the minor version ``minor``, and its OpenDRIVE file."""
     road = f"{finding.id}.xodr"
-    entities, init = xosc.Entities(), xosc.Init()
+    entities = xosc.Entities()
+    init = xosc.Init()
     act = xosc.Act("replay", _at("begin", 0, minor))
     at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
-    for vehicle, size in enumerate(trace.sizes.tolist()):
+    for vehicle, (length, width) in enumerate(trace.sizes.tolist()):
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
-        positions = _rear_axles(states, size[0])
+        positions = _rear_axles(states, length)
         kind = trace.vehicle_type(vehicle).kind
-        box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
+        box = _vehicle(name, length, width, CATEGORIES.get(kind, xosc.VehicleCategory.car))
         # CARLA's scenario_runner, which reads this version, finds the ego by this property
         if minor == 0:
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")
@@ -146,31 +152,32 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
     }
 
 
-def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return the files in OpenSCENARIO 1.0, the version that CARLA's scenario_runner requires."""
-    return export(finding, trace, 0)
+export_1_0 = partial(export, minor=0)
+"""Return the files in OpenSCENARIO 1.0, the version that CARLA's scenario_runner requires."""
 
 
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
     # The middle of a vehicle's rear axle at each tick.
     heading = states[:, HEADING]
-    back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    positions = states[:, [X, Y]] - back
-    return [
-        xosc.WorldPosition(x, y, 0, h)
-        for (x, y), h in zip(positions.tolist(), heading.tolist(), strict=True)
-    ]
+    forwards = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    positions = states[:, [X, Y]] - REAR_AXLE * length * forwards
+    rows = zip(positions.tolist(), heading.tolist(), strict=True)
+    return [xosc.WorldPosition(x, y, 0, angle) for (x, y), angle in rows]
 
 
 def _vehicle(
     name: str, length: float, width: float, category: xosc.VehicleCategory
 ) -> xosc.Vehicle:
     box = xosc.BoundingBox(width, length, 1.5, REAR_AXLE * length, 0, 0.75)
-    front, rear = (
-        xosc.Axle(0.5, 0.6, 0.8 * width, place, 0.3) for place in (2 * REAR_AXLE * length, 0)
-    )
     return xosc.Vehicle(
-        name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION
+        name,
+        category,
+        box,
+        xosc.Axle(0.5, 0.6, 0.8 * width, 2 * REAR_AXLE * length, 0.3),
+        xosc.Axle(0.5, 0.6, 0.8 * width, 0, 0.3),
+        ANY_SPEED,
+        ANY_ACCELERATION,
+        ANY_ACCELERATION,
     )
 
 
@@ -180,11 +187,14 @@ def _replay(
     trajectory = xosc.Trajectory(f"{name} drove", False)
     trajectory.add_shape(xosc.Polyline(times, positions))
     follow = xosc.FollowTrajectoryAction(
-        trajectory, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1, 0
+        trajectory,
+        xosc.FollowingMode.position,
+        xosc.ReferenceContext.absolute,
+        1,
+        0,
     )
-    event = xosc.Event(
-        f"{name} drives", xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite
-    )
+    priority = xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite
+    event = xosc.Event(f"{name} drives", priority)
     event.add_trigger(_at(f"{name} begins", 0, minor))
     event.add_action(f"{name} follows", follow)
     manoeuvre = xosc.Maneuver(f"{name} replays")

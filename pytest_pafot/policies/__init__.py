@@ -44,10 +44,11 @@ def sb3(
     # The model is loaded on the CPU, with one thread, when a search starts or a run needs it.
     from pytest_pafot.policies.baselines import Sb3Policy  # noqa: PLC0415  (imports numpy, and a test may never use it)
 
-    statistics = None if vecnormalize is None else Path(vecnormalize).absolute()
+    if vecnormalize is not None:
+        vecnormalize = Path(vecnormalize).absolute()
     return Sb3Policy(
         file=Path(file).absolute(),
-        vecnormalize=statistics,
+        vecnormalize=vecnormalize,
         frame_stack=frame_stack,
         algorithm=algorithm,
         deterministic=deterministic,
@@ -72,11 +73,9 @@ def process(
     from pytest_pafot.support.errors import refused_policy  # noqa: PLC0415
 
     if isinstance(command, (str, bytes, os.PathLike)) or not command:
-        words = command.split() if isinstance(command, str) else [command]
-        example = (
-            f"write process({words!r})"
-            if command
-            else 'name the program, as in process(["./planner"])'
-        )
+        example = 'name the program, as in process(["./planner"])'
+        if command:
+            words = command.split() if isinstance(command, str) else [command]
+            example = f"write process({words!r})"
         raise refused_policy("a program and its arguments in a list", repr(command), example)
     return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

@@ -8,6 +8,7 @@ import os
 import pickle
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,8 @@ class Sb3Policy:
     deterministic: bool = True
 
     def __post_init__(self) -> None:
-        if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
+        stacked = plain_whole(self.frame_stack)
+        if stacked is None or stacked < 1:
             raise refused(
                 "a frame_stack of 1 or more",
                 repr(self.frame_stack),
@@ -73,10 +75,10 @@ class Sb3Policy:
     @functools.cached_property
     def loading_hint(self) -> str:
         """A sentence that explains why VecNormalize statistics seem to be missing, or an empty string."""
-        try:
-            return "" if self.vecnormalize is not None else _missing_statistics(self.file)
-        except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
-            return ""
+        if self.vecnormalize is None:
+            with suppress(OSError, AdsFactoryError):  # a missing hint must not prevent the run
+                return _missing_statistics(self.file)
+        return ""
 
     def preload(self) -> None:
         # forked processes inherit the model and its libraries, which take seconds to load
@@ -116,15 +118,15 @@ class Sb3Policy:
             )
         if not isinstance(name, str):
             return name
-        own = getattr(_library("stable_baselines3"), name, None)
-        found = own or getattr(_library("sb3_contrib"), name, None)
-        if found is None:
-            raise refused(
-                "an algorithm of stable_baselines3 or sb3_contrib",
-                repr(name),
-                "pass the class instead",
-            )
-        return found
+        for library in ("stable_baselines3", "sb3_contrib"):
+            found = getattr(_library(library), name, None)
+            if found:
+                return found
+        raise refused(
+            "an algorithm of stable_baselines3 or sb3_contrib",
+            repr(name),
+            "pass the class instead",
+        )
 
     def __call__(self) -> BaselineAds:
         """Return a new ADS that has not received any observations."""
@@ -136,13 +138,14 @@ class Sb3Policy:
         The observations of a user's own simulator are unknown before a run. The run fails if they do not fit.
         """
         model = self.loaded
-        if not getattr(world, "is_native", False) and not model.fits(
-            world.observation_space, world.action_space
-        ):
-            of_model = f"observations {model.observation_space} and actions {model.action_space}"
-            stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
+        if getattr(world, "is_native", False):
+            return
+        if not model.fits(world.observation_space, world.action_space):
+            expected = f"a pafot.World with observations {model.observation_space} and actions {model.action_space}"
+            if self.frame_stack > 1:
+                expected += f", {self.frame_stack} observations at once"
             raise refused(
-                f"a pafot.World with {of_model}{stacked}, as in the training of {self.file.name}",
+                f"{expected}, as in the training of {self.file.name}",
                 _describe_world(world),
                 "use the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
             )
@@ -159,21 +162,28 @@ def _changed_at(file: Path) -> int:
             # opening it also shows whether it can be read
             return os.fstat(opened.fileno()).st_mtime_ns
     except OSError as error:
-        raise refused(
-            "a file that can be read", f"{file} ({error.strerror})", "correct the path"
-        ) from None
+        received = f"{file} ({error.strerror})"
+        raise refused("a file that can be read", received, "correct the path") from None
 
 
+@dataclass(eq=False, repr=False)
 class BaselineModel:
     """A loaded model, with the changes that the wrappers of its training made to observations."""
 
-    # `statistics` is a `VecNormalize` without its environments, or None.
-    def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
-        self.observation_space, self.action_space = model.observation_space, model.action_space
-        self._model, self._statistics = model, statistics
-        self._frame_stack, self._deterministic = frame_stack, deterministic
-        shape = None if statistics is None else statistics.observation_space.shape
-        self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
+    model: Any
+    statistics: Any  # a `VecNormalize` without its environments, or None
+    frame_stack: int
+    deterministic: bool
+
+    def __post_init__(self) -> None:
+        self.observation_space = self.model.observation_space
+        self.action_space = self.model.action_space
+        # Whether the statistics are for stacked observations.
+        self._is_of_stack = (
+            self.frame_stack > 1
+            and self.statistics is not None
+            and self.statistics.observation_space.shape == self.observation_space.shape
+        )
 
     def fits(self, observation_space: Any, action_space: Any) -> bool:
         """Return whether an environment's observations and actions suit the model."""
@@ -182,8 +192,8 @@ class BaselineModel:
             return False
         if own.shape is None or other.shape is None:  # a space with several parts
             return bool(own == other)
-        is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
-        return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
+        is_stacked = stacking_axis(other.shape, own.shape, self.frame_stack) is not None
+        return is_stacked and (own.dtype == other.dtype or self.statistics is not None)
 
     def stack(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
         """Return the stacked observations, with a new one added, and the model's input.
@@ -193,34 +203,39 @@ class BaselineModel:
         if isinstance(observation, dict):
             return None, self._normalised(observation)
         own = np.asarray(observation, dtype=self.observation_space.dtype)
-        own = own if self._is_of_stack else self._normalised(own)
-        if self._frame_stack == 1:
+        if not self._is_of_stack:
+            own = self._normalised(own)
+        if self.frame_stack == 1:
             return None, own
-        frames = push_observation(frames, own, self._frame_stack, self.observation_space.shape)
-        return frames, self._normalised(frames) if self._is_of_stack else frames
+        frames = push_observation(frames, own, self.frame_stack, self.observation_space.shape)
+        if self._is_of_stack:
+            return frames, self._normalised(frames)
+        return frames, frames
 
     def _normalised(self, observation: Any) -> Any:
-        return (
-            observation if self._statistics is None else self._statistics.normalize_obs(observation)
-        )
+        if self.statistics is None:
+            return observation
+        return self.statistics.normalize_obs(observation)
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
         """Return the action for an input, and the state of a recurrent model."""
-        start = np.array([is_first])
-        action, state = self._model.predict(
-            seen, state=state, episode_start=start, deterministic=self._deterministic
+        action, state = self.model.predict(
+            seen,
+            state=state,
+            episode_start=np.array([is_first]),
+            deterministic=self.deterministic,
         )
         return action, state
 
 
+@dataclass(eq=False, repr=False)
 class BaselineAds:
     """An ADS that drives one run with a model."""
 
-    def __init__(self, model: BaselineModel) -> None:
-        self._model = model
-        self._frames: Array | None = None
-        self._state: Any = None
-        self._is_first = True
+    _model: BaselineModel
+    _frames: Array | None = None
+    _state: Any = None
+    _is_first: bool = True
 
     def __call__(self, observation: Any) -> Any:
         """Return the action for the environment."""
@@ -233,7 +248,9 @@ class BaselineAds:
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
     """Return the axis along which ``count`` arrays of the shape ``one`` form the shape ``stacked``, or None."""
     for axis in range(len(one)):
-        if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
+        shape = [*one]
+        shape[axis] *= count
+        if shape == [*stacked]:
             return axis
     return None
 
@@ -249,11 +266,10 @@ def push_observation(
     # `VecFrameStack` of Stable-Baselines3 stacks in this way. Zeros replace missing observations.
     axis = stacking_axis(observation.shape, shape, count)
     if axis is None:
-        fix = "use the frame_stack= of the training"
         raise refused(
             f"{count} observations that stack to the shape {shape}",
             f"observations {observation.shape}",
-            fix,
+            "use the frame_stack= of the training",
         )
     if frames is None:
         frames = np.zeros(shape, observation.dtype)
@@ -267,9 +283,10 @@ def _parameters(file: Path) -> dict[str, Any]:
         with zipfile.ZipFile(file) as zipped:
             parameters: dict[str, Any] = json.loads(zipped.read("data"))
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
-        received = f"{file} ({type(error).__name__}: {error})"
         raise refused(
-            "a zip that a Stable-Baselines3 model has saved", received, "save the model again"
+            "a zip that a Stable-Baselines3 model has saved",
+            f"{file} ({type(error).__name__}: {error})",
+            "save the model again",
         ) from None
     return parameters
 
@@ -278,15 +295,15 @@ def _missing_statistics(file: Path) -> str:
     # No file names the wrappers that were used in training. But `learn` stores in the zip the last observations from
     # before VecNormalize, or None without VecNormalize. Algorithms with a replay buffer always store observations, so
     # for them this is no evidence.
-    beside = [
-        each
-        for folder in (file.parent, file.with_suffix(""))
-        for each in sorted(folder.glob("*.pkl"))
-    ]
-    found = next((each for each in beside if _is_statistics(each)), None)
+    beside = sorted(file.parent.glob("*.pkl"))
+    beside += sorted(file.with_suffix("").glob("*.pkl"))
+    found = next(filter(_is_statistics, beside), None)
     zipped = _parameters(file)
-    name = "statistics.pkl" if found is None else found.relative_to(file.parent).as_posix()
-    given = f"vecnormalize={name if found is None else str(found)!r}"
+    name = "statistics.pkl"
+    given = f"vecnormalize={name!r}"
+    if found is not None:
+        name = found.relative_to(file.parent).as_posix()
+        given = f"vecnormalize={str(found)!r}"
     if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
         return (
             f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given. Unless "
@@ -314,7 +331,9 @@ def _library(name: str) -> Any:
         if error.name != name.partition(".")[0]:
             raise
         raise refused(
-            f"the package {name}", "a Python environment without it", f"run `{install('sb3')}`"
+            f"the package {name}",
+            "a Python environment without it",
+            f"run `{install('sb3')}`",
         ) from None
 
 

@@ -24,16 +24,20 @@ from pytest_pafot.support.text import safe_repr
 
 # The attributes of a `pytest_pafot.Observation` that the program receives as keys, in their order.
 SENT_ATTRIBUTES = (
-    *(
-        "time",
-        "decision_period",
-        "lanes",
-        "lane_width",
-        "speed_limit",
-        "lane_centres",
-        "road_length",
-    ),
-    *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others", "crossing"),
+    "time",
+    "decision_period",
+    "lanes",
+    "lane_width",
+    "speed_limit",
+    "lane_centres",
+    "road_length",
+    "acceleration",
+    "steering",
+    "lateral_velocities",
+    "ids",
+    "ego",
+    "others",
+    "crossing",
 )
 
 LONGEST_LINE = 1 << 20  # the longest line that a program may write [bytes]
@@ -69,22 +73,21 @@ class ProgramLoader:
                 sys.platform,
                 "run the tests on Linux or macOS",
             )
-        if self.timeout is not None and not (
-            isinstance(self.timeout, (int, float)) and self.timeout > 0
-        ):
+        timeout = self.timeout
+        if timeout is not None and not (isinstance(timeout, (int, float)) and timeout > 0):
             raise refused(
                 "a timeout of more than 0 s, or None",
-                repr(self.timeout),
+                repr(timeout),
                 "use seconds, such as timeout=5",
             )
 
     def __call__(self) -> ProgramAds:
         """Return a new ADS, with an idle program of this process or else a new program."""
-        idle = _idle(self)
+        idle = _idle_in(getpid(), self)
         while idle:
             program = idle.pop()
             if program.is_ready:
-                return ProgramAds(self, program, is_kept=True)
+                return ProgramAds(self, program, True)
         return ProgramAds(self, Program(self.command))
 
 
@@ -94,28 +97,26 @@ def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
     return []
 
 
-def _idle(loader: ProgramLoader) -> list[Program]:
-    return _idle_in(getpid(), loader)
-
-
+@dataclass(eq=False, repr=False)
 class ProgramAds:
     """An ADS that drives one run with a program."""
 
-    def __init__(self, loader: ProgramLoader, program: Program, *, is_kept: bool = False) -> None:
-        self._loader = loader
-        self._program = program
-        self._is_kept = is_kept
-        self._is_first = True
-        self._is_waiting = False
+    _loader: ProgramLoader
+    _program: Program
+    _is_kept: bool = False
+    _is_first: bool = True
+    _is_waiting: bool = False
 
     def __call__(self, observation: Any) -> Any:
         """Return the program's action for an observation."""
         line = line_of(observation, reset=self._is_first)
-        is_first, self._is_first, self._is_waiting = self._is_first, False, True
+        is_first = self._is_first
+        self._is_first = False
+        self._is_waiting = True
         try:
             answer = self._program.ask(line, self._loader.timeout)
         except ProgramEnded:
-            if not (is_first and self._is_kept):
+            if not is_first or not self._is_kept:
                 raise
             # The program was still ending after its last scenario, so it has received nothing of this one.
             self._program = Program(self._loader.command)
@@ -132,7 +133,7 @@ class ProgramAds:
             if self._is_waiting:
                 self._program.kill()
             if self._loader.keep and not self._is_waiting:
-                _idle(self._loader).append(self._program)
+                _idle_in(getpid(), self._loader).append(self._program)
             else:
                 self._program.end()
 
@@ -159,33 +160,29 @@ def action_of(line: bytes) -> Any:
     Raises:
         BadAction: if the line contains anything else.
     """
-    answer = None
     # The messages are part of the signatures of saved findings. With other words, known failures would become new ones.
+    expected = (
+        "expected a line of JSON with the keys acceleration and steering, or lane and speed, or lane and acceleration, "
+        "or, in a pafot.World, action, received"
+    )
+    answer: Any = None
     # not JSON, not text, 5000 digits, or 100,000 brackets
     with suppress(ValueError, RecursionError):
         answer = json.loads(line, object_pairs_hook=_without_repetition)
-    # An echoed observation also has the keys acceleration and steering, so this check must be first.
-    if isinstance(answer, dict) and "reset" in answer:
-        again = safe_repr(line.decode("utf-8", "replace"))
-        raise BadAction(
-            f"expected a decision, as an object without the key reset, received an observation: {again}"
-        )
-    if isinstance(answer, dict) and "action" in answer:
-        return answer["action"]
-    if isinstance(answer, dict) and "lane" in answer:
-        return LaneCommand(
-            **{
-                field.name: answer[field.name]
-                for field in fields(LaneCommand)
-                if field.name in answer
-            }
-        )
-    if isinstance(answer, dict) and answer.keys() >= {"acceleration", "steering"}:
-        return answer["acceleration"], answer["steering"]
-    raise BadAction(
-        "expected a line of JSON with the keys acceleration and steering, or lane and speed, or lane and acceleration, "
-        f"or, in a pafot.World, action, received {safe_repr(line.decode('utf-8', 'replace'))}"
-    )
+    match answer:
+        # An echoed observation also has the keys acceleration and steering, so this check must be first.
+        case {"reset": _}:
+            expected = (
+                "expected a decision, as an object without the key reset, received an observation:"
+            )
+        case {"action": action}:
+            return action
+        case {"lane": _}:
+            names = [each.name for each in fields(LaneCommand)]
+            return LaneCommand(**{name: answer[name] for name in names if name in answer})
+        case {"acceleration": acceleration, "steering": steering}:
+            return acceleration, steering
+    raise BadAction(f"{expected} {safe_repr(line.decode('utf-8', 'replace'))}")
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -220,14 +217,12 @@ class Program:
             )
         except OSError as error:
             received = f"{list(command)} ({error.strerror})"
-            raise refused(
-                "a program that can be started", received, "correct the path, or build it first"
-            ) from None
-        self._to, self._from, self._errors = (
-            pipe.fileno()
-            for pipe in (self._process.stdin, self._process.stdout, self._process.stderr)
-            if pipe
-        )
+            fix = "correct the path, or build it first"
+            raise refused("a program that can be started", received, fix) from None
+        pipes: Any = self._process
+        self._to = pipes.stdin.fileno()
+        self._from = pipes.stdout.fileno()
+        self._errors = pipes.stderr.fileno()
         self._sources = [self._from, self._errors]
         # Also ends the program when this object is garbage-collected and when this process ends normally. Unlike a
         # `weakref` finalizer, it works in worker processes, but does not end the programs of a forked process's parent.
@@ -252,7 +247,8 @@ class Program:
             ProgramTimeout: if the line takes longer.
             BadAction: if the program writes more than one line, or a line that is too long.
         """
-        pending, started = memoryview(line), monotonic()
+        pending = memoryview(line)
+        started = monotonic()
         self._receive(0.0)
         while b"\n" not in self._buffer or pending:
             if self._buffer and len(pending) == len(line):
@@ -276,16 +272,14 @@ class Program:
             pipes.register(source, select.POLLIN)
         if is_asking:
             pipes.register(self._to, select.POLLOUT)
-        ready = {descriptor for descriptor, _ in pipes.poll(1000.0 * seconds)}
+        ready = dict(pipes.poll(1000.0 * seconds))
         if self._errors in ready:
             self._read_stderr()  # a program that fills its stderr pipe would stop responding
         if self._from in ready:
             self._read()
         elif self._to in ready:
             return True
-        elif _has_ended(self._process, 0.0) and self._from not in {
-            descriptor for descriptor, _ in pipes.poll(0)
-        }:
+        elif _has_ended(self._process, 0.0) and self._from not in dict(pipes.poll(0)):
             # although a process that the program has started may keep the pipe open
             self._raise_ended()
         return False
@@ -320,8 +314,10 @@ class Program:
         # A program that has closed its input or output has ended, or will end soon.
         _has_ended(self._process, GRACE)
         code = self._process.returncode
-        how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
-        if code is not None and code < 0:
+        how = f"ended with exit code {code}"
+        if code is None:
+            how = f"closed its {closed}"
+        elif code < 0:
             how = f"was ended by signal {-code}, {signal.strsignal(-code)},"
         # The message is part of the signature of saved findings. With other words, known failures would become new.
         error = ProgramEnded(f"{self._name} {how} in the place of an answer")
@@ -343,12 +339,14 @@ class Program:
     def new_output(self) -> str:
         """Return the output on stderr since the last call, without the middle part if it is long."""
         self._read_rest()
-        words, omitted = bytes(self._stderr), self._omitted
+        words = bytes(self._stderr)
         self._stderr.clear()
-        self._omitted = 0
-        if omitted:
-            note = f"\n[... {omitted} bytes that {self._name} wrote to stderr are omitted ...]\n"
+        if self._omitted:
+            note = (
+                f"\n[... {self._omitted} bytes that {self._name} wrote to stderr are omitted ...]\n"
+            )
             words = words[:STDERR_PRINTED] + note.encode() + words[STDERR_PRINTED:]
+            self._omitted = 0
         return words.decode("utf-8", "replace")
 
 
@@ -380,14 +378,19 @@ def _kill_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    pipes: Any = (process.stdin, process.stdout, process.stderr)
-    *both, errors = pipes  # a program that does not end after its pipes were closed is killed
-    for pipe in both:
-        pipe.close()
-    words, until = select.poll(), monotonic() + GRACE
+    pipes: Any = process
+    pipes.stdin.close()
+    pipes.stdout.close()
+    errors = pipes.stderr
+    # A program that does not end after its pipes were closed is killed.
+    until = monotonic() + GRACE
+    words = select.poll()
     words.register(errors, select.POLLIN)
     try:
-        while not _has_ended(process, 0.0) and (left := until - monotonic()) > 0.0:
+        while not _has_ended(process, 0.0):
+            left = until - monotonic()
+            if left <= 0.0:
+                break
             # Continue to read stderr, so that the last output of the program neither blocks nor kills it.
             if words.poll(1000.0 * min(left, SLICE / 10)) and not os.read(errors.fileno(), CHUNK):
                 _has_ended(process, left)

@@ -75,8 +75,6 @@ def metadrive(
         "lanes": lanes,
         "observation": observation,
         "sensors": sensors,
-    }
-    own |= {
         "speed_limit": speed_limit,
         "start_lane": start_lane,
         "start_speed": start_speed,
@@ -84,13 +82,12 @@ def metadrive(
     }
     if "ego" in world:
         received = f"{world['ego']!r:.100}"
-        raise WorldError(
-            field="ego", expected="MetaDrive's own vehicle", received=received, fix="omit ego="
-        )
+        raise WorldError("ego", "MetaDrive's own vehicle", received, "omit ego=")
     given: Any = {"ads_hz": 10, "duration": 15.0, "ego": VEHICLE, **world}
     return SimulatorWorld(partial(MetaDrive, **own), **given)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class MetaDrive(Simulator):
     """MetaDrive as a simulator, with the arguments of :func:`metadrive`."""
 
@@ -98,50 +95,36 @@ class MetaDrive(Simulator):
     y_is_left = moves_ego_only = one_at_a_time = True
     packages = ("metadrive-simulator", "panda3d")
 
-    def __init__(
-        self,
-        *,
-        map: str,  # noqa: A002
-        lanes: int,
-        observation: Observed | None = None,
-        sensors: Mapping[str, Mapping[str, int]] | None = None,
-        speed_limit: float = 20.0,
-        start_lane: int = 0,
-        start_speed: float | None = None,
-        start_at: float | None = None,
-    ) -> None:
+    map: str
+    lanes: Any
+    observation: Observed | None = None
+    sensors: Mapping[str, Mapping[str, int]] | None = None
+    speed_limit: float = 20.0
+    start_lane: int = 0
+    start_speed: float | None = None
+    start_at: float | None = None
+
+    def __post_init__(self) -> None:
+        self._data = {**vars(self)}
         if version_info >= (3, 12) or find_spec("metadrive") is None:
-            received = (
-                "no MetaDrive"
-                if version_info < (3, 12)
-                else f"Python {version_info[0]}.{version_info[1]}"
-            )
-            expected, fix = (
+            received = "no MetaDrive"
+            if version_info >= (3, 12):
+                received = f"Python {version_info[0]}.{version_info[1]}"
+            raise WorldError(
+                "pafot.metadrive",
                 "MetaDrive 0.4.3 on Python 3.11",
+                received,
                 f"run `{install('metadrive')}` with Python 3.11",
             )
-            raise WorldError(field="pafot.metadrive", expected=expected, received=received, fix=fix)
-        if not isinstance(map, str) or not map or set(map) - {"S", "C"}:
+        if not isinstance(self.map, str) or not self.map or set(self.map) - {"S", "C"}:
             expected = 'a string of the letters "S" (straight) and "C" (curve), such as "SSSCSS"'
-            raise WorldError(field="map", expected=expected, received=f"{map!r:.100}")
-        if observation not in (None, "lidar", "vehicle"):
+            raise WorldError("map", expected, f"{self.map!r:.100}")
+        if self.observation not in (None, "lidar", "vehicle"):
             expected = 'None (for a planner), "lidar" or "vehicle"'
-            raise WorldError(
-                field="observation", expected=expected, received=f"{observation!r:.100}"
-            )
-        self._observation, self._map, self._count = (
-            observation,
-            map,
-            whole_within("lanes", lanes, 1, MOST_LANES),
-        )
-        self._data = {"map": map, "lanes": lanes, "observation": observation, "sensors": sensors}
-        self._data |= {"speed_limit": speed_limit, "start_lane": start_lane}
-        self._data |= {"start_speed": start_speed, "start_at": start_at}
-        self._sensors = _check_sensors(sensors)
-        self.native = observation is not None
-        self.speed_limit, self.start_lane, self.start_speed, self.start_at = (
-            speed_limit, start_lane, start_speed, start_at,
-        )  # fmt: skip
+            raise WorldError("observation", expected, f"{self.observation!r:.100}")
+        self._count = whole_within("lanes", self.lanes, 1, MOST_LANES)
+        self._sensors = _check_sensors(self.sensors)
+        self.native = self.observation is not None
         self._env: Any = None
         self._ego: Any = None
         self._npcs: list[Any] = []
@@ -157,11 +140,12 @@ class MetaDrive(Simulator):
         if self._env is None or not self._env.is_open:
             from pytest_pafot.simulators.metadrive_engine import Env  # noqa: PLC0415  (imports MetaDrive, in 1.5 s)
 
-            self._env = Env(self._map, self._count, self._sensors)
+            self._env = Env(self.map, self._count, self._sensors)
         return self._env
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        env, start = self._opened(), vehicles[0]
+        env = self._opened()
+        start = vehicles[0]
         self._length = start.length
         self._ego = env.begin((start.x, start.y), start.heading, start.speed)
         self._npcs = [
@@ -176,15 +160,17 @@ class MetaDrive(Simulator):
             npc.set_position((x, y))
             npc.set_heading_theta(heading)
             npc.set_velocity((math.cos(heading), math.sin(heading)), speed)
-            if self._observation == "vehicle":
+            if self.observation == "vehicle":
                 # finds its lane, which MetaDrive's IDM reads
                 npc.navigation.update_localization(npc)
 
     def step(self, controls: Sequence[Any]) -> None:
         # Put the NPCs at their positions at the end of the tick.
         self._put(controls[1:])
-        engine, control = self._env.engine, controls[0]
-        pedals = self._pedals(control) if control.action is None else control.action
+        engine = self._env.engine
+        pedals = controls[0].action
+        if pedals is None:
+            pedals = self._pedals(controls[0])
         engine.before_step({"default_agent": pedals})
         engine.step(SUBSTEPS)
         engine.after_step()
@@ -194,18 +180,16 @@ class MetaDrive(Simulator):
         vehicle = self._ego
         wheels = math.atan(math.tan(control.steering) * WHEELBASE / self._length)
         # The forces of the engine and the impulses of brakes act on each of four wheels.
-        most = (
-            vehicle.config["max_engine_force"]
-            if control.acceleration > 0.0
-            else vehicle.config["max_brake_force"]
-        )
-        pedal = control.acceleration * vehicle.MASS / 4.0 / most
-        pedal *= 1.0 if control.acceleration > 0.0 else SUBSTEP
+        force = control.acceleration * vehicle.MASS / 4.0
+        if control.acceleration > 0.0:
+            pedal = force / vehicle.config["max_engine_force"]
+        else:
+            pedal = force / vehicle.config["max_brake_force"] * SUBSTEP
         # a pedal of 0 brakes by 0.36 m/s^2
         return wheels / math.radians(vehicle.max_steering), pedal or 1e-6
 
     def observe(self) -> Any:
-        if self._observation == "vehicle":
+        if self.observation == "vehicle":
             return self._ego
         return self._env.observations["default_agent"].observe(self._ego)
 
@@ -222,10 +206,8 @@ class MetaDrive(Simulator):
 
     def states(self) -> list[tuple[float, ...]]:
         ego = self._ego
-        return [
-            (*map(float, ego.position), float(ego.heading_theta), float(ego.speed)),
-            *self._put_at,
-        ]
+        state = (*map(float, ego.position), float(ego.heading_theta), float(ego.speed))
+        return [state, *self._put_at]
 
     def close(self) -> None:
         if self._env is not None and self._env.is_open:
@@ -235,26 +217,22 @@ class MetaDrive(Simulator):
 
 def _check_sensors(sensors: Any) -> dict[str, dict[str, int]]:
     checked: dict[str, dict[str, int]] = {"lidar": {"num_others": 4}}
-    for name, given in (
-        sensors.items()
-        if isinstance(sensors, Mapping)
-        else [("sensors", sensors)]
-        if sensors
-        else ()
-    ):
-        most = {"num_lasers": 1000, "distance": 1000} | (
-            {"num_others": 8} if name == "lidar" else {}
-        )
+    if not sensors:
+        return checked
+    items = [("sensors", sensors)]  # rejected below, unless it is a mapping
+    if isinstance(sensors, Mapping):
+        items = [*sensors.items()]
+    for name, given in items:
+        most = {"num_lasers": 1000, "distance": 1000}
+        if name == "lidar":
+            most["num_others"] = 8
         if name not in DETECTORS or not isinstance(given, Mapping) or set(given) - set(most):
-            expected = (
-                f"only num_lasers and distance for {', '.join(DETECTORS)}, and num_others for lidar"
-            )
-            raise WorldError(field="sensors", expected=expected, received=f"{sensors!r:.100}")
-        values = {
-            key: whole_within(f"sensors.{name}.{key}", value, 0, most[key])
-            for key, value in given.items()
-        }
-        checked[name] = {**checked.get(name, {}), **values}
+            names = ", ".join(DETECTORS)
+            expected = f"only num_lasers and distance for {names}, and num_others for lidar"
+            raise WorldError("sensors", expected, f"{sensors!r:.100}")
+        values = checked.setdefault(name, {})
+        for key, value in given.items():
+            values[key] = whole_within(f"sensors.{name}.{key}", value, 0, most[key])
     return checked
 
 
@@ -268,7 +246,9 @@ class Expert:
         x = np.array(seen)
         x[[10, 15]] = 1 - x[[10, 15]]  # it was trained with other axes
         (first, one), (second, two), (last, out) = self._layers
-        x = np.tanh(np.tanh(x @ first + one) @ second + two) @ last + out
+        x = np.tanh(x @ first + one)
+        x = np.tanh(x @ second + two)
+        x = x @ last + out
         return tuple(x[:2].tolist())
 
 
@@ -311,14 +291,17 @@ class OwnPolicy:
         return self.make()
 
     def check_world(self, world: Any) -> None:
-        is_own = isinstance(world, SimulatorWorld) and world.maker is MetaDrive
-        stated = world.to_dict()["simulator"] if is_own else {}
+        stated = {}
+        received = f"{world!r:.200}"
+        if isinstance(world, SimulatorWorld) and world.maker is MetaDrive:
+            stated = world.to_dict()["simulator"]
+            received = f"pafot.metadrive with {stated}"
         if (stated.get("observation"), stated.get("sensors")) != (self.observation, None):
-            received = f"pafot.metadrive with {stated}" if is_own else f"{world!r:.200}"
+            needed = f"pafot.metadrive(observation={self.observation!r})"
             raise refused_policy(
-                f"the world pafot.metadrive(observation={self.observation!r}) for this policy of MetaDrive",
+                f"the world {needed} for this policy of MetaDrive",
                 received,
-                f"write `world=pafot.metadrive(observation={self.observation!r})`",
+                f"write `world={needed}`",
             )
 
 

@@ -61,13 +61,11 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         if isinstance(get_engine(), Engine):
             close_engine()
         if get_engine() is not None:
-            received = "one that is still open"
-            fix = f"call `close` of your own MetaDriveEnv, or search in other processes with {flag('workers', 2)}"
             raise WorldError(
-                field="pafot.metadrive",
-                expected="no other environment in this process",
-                received=received,
-                fix=fix,
+                "pafot.metadrive",
+                "no other environment in this process",
+                "one that is still open",
+                f"call `close` of your own MetaDriveEnv, or search in other processes with {flag('workers', 2)}",
             )
         super().__init__(
             {
@@ -97,10 +95,8 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
     def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
         """Start a run with the ego at a position [m] with a heading [rad] and a speed [m/s]."""
         # Not with set_position, because only a new vehicle gets the checkpoints ahead of its position.
-        self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (
-            tuple(position),
-            heading,
-        )
+        agent = self.config["agent_configs"]["default_agent"]
+        agent["spawn_position_heading"] = (tuple(position), heading)
         self.reset(seed=0)  # 0 is the map; nothing in a run is random
         # Vehicles pass through each other, because Bullet would push them. The package detects contacts.
         self.engine.physics_world.dynamic_world.setGroupCollisionFlag(VEHICLES, VEHICLES, False)
@@ -132,9 +128,11 @@ class Env(MetaDriveEnv):  # type: ignore[misc]
         """Add a vehicle that does not move on its own, and return it. The next run removes it."""
         size = {"length": length, "width": width, "height": 1.5, "mass": 1100.0}
         # The traffic manager removes its vehicles at the next reset.
-        spawn = self.engine.traffic_manager.spawn_object
-        other = spawn(
-            VaryingDynamicsVehicle, vehicle_config=size, position=list(position), heading=heading
+        other = self.engine.traffic_manager.spawn_object(
+            VaryingDynamicsVehicle,
+            vehicle_config=size,
+            position=list(position),
+            heading=heading,
         )
         other.set_static(True)  # else it falls and drives on
         return other

@@ -8,7 +8,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -54,15 +56,24 @@ def sumo(
     Raises:
         WorldError: if an argument cannot be used, the network is unsuitable, or sumolib is not installed.
     """
-    arguments: dict[str, Any] = {"hz": hz}
     if net is None:
-        arguments |= {"lanes": lanes, "speed_limit": speed_limit}
+        make = partial(Sumo, hz=hz, lanes=lanes, speed_limit=speed_limit)
     else:
-        arguments |= {"net": str(net), "route": None if route is None else list(route)}
-        arguments |= {"start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
-    return SimulatorWorld(partial(Sumo, **arguments), **world)
+        if route is not None:
+            route = list(route)
+        make = partial(
+            Sumo,
+            hz=hz,
+            net=str(net),
+            route=route,
+            start_lane=start_lane,
+            start_speed=start_speed,
+            start_at=start_at,
+        )
+    return SimulatorWorld(make, **world)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Sumo(Simulator):
     """A SUMO network as a simulator, with the arguments of :func:`sumo`.
 
@@ -78,63 +89,59 @@ class Sumo(Simulator):
     headings = "y to x"
     packages = ("libsumo",)
 
-    def __init__(
-        self,
-        *,
-        net: str | None = None,
-        route: Sequence[str] | None = None,
-        lanes: int = 4,
-        speed_limit: float | None = None,
-        hz: int = 20,
-        start_lane: int = 0,
-        start_speed: float | None = None,
-        start_at: float | None = None,
-        digest: str = "",
-    ) -> None:
-        self.hz = hz
-        self.edges = ["road"]
-        self._data: dict[str, Any] = {"hz": hz}
+    net: str | None = None
+    route: Sequence[str] | None = None
+    lanes: Any = 4
+    speed_limit: float | None = None
+    hz: float = 20
+    start_lane: int = 0
+    start_speed: float | None = None
+    start_at: float | None = None
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        self._data: dict[str, Any] = {"hz": self.hz}
         self._states: list[tuple[float, ...]] = []
-        if net is None:
-            self.lanes, self.lane_width = lanes, LANE_WIDTH
-            self.speed_limit = 26.8 if speed_limit is None else speed_limit
-            self._data |= {"lanes": lanes, "speed_limit": speed_limit}
+        if self.net is None:
+            self._data |= {"lanes": self.lanes, "speed_limit": self.speed_limit}
+            self.edges = ["road"]
+            self.lane_width = LANE_WIDTH
+            if self.speed_limit is None:
+                self.speed_limit = 26.8
             return
-        way = Way(net, route)
-        self.edges, self.lanes, self.lane_width, self.speed_limit = (
-            way.edges,
-            way.lines,
-            way.width,
-            way.limit,
-        )
-        if start_lane not in way.starts:
+        way = Way(self.net, self.route)
+        self.edges = way.edges
+        self.lanes = way.lines
+        self.lane_width = way.width
+        self.speed_limit = way.limit
+        if self.start_lane not in way.starts:
             starts = listed([*map(str, way.starts)], "or")
-            expected = (
-                f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed"
-            )
-            fix = "to use another lane, start the route at a later edge"
             raise WorldError(
-                field="start_lane", expected=expected, received=repr(start_lane), fix=fix
+                "start_lane",
+                f"lane {starts} of the edge {self.edges[0]!r}, from which the route can be followed",
+                repr(self.start_lane),
+                "to use another lane, start the route at a later edge",
             )
-        self.start_lane, self.start_speed, self.start_at = (
-            start_lane + way.left,
-            start_speed,
-            start_at,
-        )
-        self._data |= {"start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
-        now = hashlib.sha256(Path(net).read_bytes()).hexdigest()[:16]
-        if digest not in ("", now):
+        content = Path(self.net).read_bytes()
+        now = hashlib.sha256(content).hexdigest()[:16]
+        if self.digest not in ("", now):
             fix = "use the network from the commit of the saved scenario, or search again"
-            raise WorldError(
-                field="net", expected=f"{net} as it was saved", received="a changed file", fix=fix
-            )
-        self._data |= {"net": net, "digest": now, "route": way.edges}
+            raise WorldError("net", f"{self.net} as it was saved", "a changed file", fix)
+        self._data |= {
+            "start_lane": self.start_lane,
+            "start_speed": self.start_speed,
+            "start_at": self.start_at,
+            "net": self.net,
+            "digest": now,
+            "route": way.edges,
+        }
+        self.start_lane += way.left
 
     def to_dict(self) -> dict[str, Any]:
         return self._data
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        self._states = [(each.x, each.y, each.heading, each.speed) for each in vehicles]
+        self.step(vehicles)
 
     def step(self, controls: Sequence[Any]) -> None:
         self._states = [(each.x, each.y, each.heading, each.speed) for each in controls]
@@ -155,92 +162,86 @@ class Way:
         try:
             from sumolib.net import readNet  # noqa: PLC0415  (part of libsumo, which is optional)
         except ImportError as error:
-            expected, fix = "an installed sumolib", f"run `{install('sumo')}`"
-            raise WorldError(
-                field="pafot.sumo", expected=expected, received=f"the error '{error}'", fix=fix
-            ) from None
+            fix = f"run `{install('sumo')}`"
+            received = f"the error '{error}'"
+            raise WorldError("pafot.sumo", "an installed sumolib", received, fix) from None
 
+        field = f"net, {path}"
         expected = "a SUMO network, as written by netconvert"
         # a saved file may name anything, such as a pipe that never ends
         if not Path(path).is_file():
-            raise WorldError(
-                field=f"net, {path}",
-                expected=expected,
-                received="a path that is not a regular file",
-            )
+            raise WorldError(field, expected, "a path that is not a regular file")
         try:
             self._net = readNet(path, withInternal=True)
         except Exception as error:  # noqa: BLE001  (of the XML reader, of its handler, or of the file)
             received = f"the error {type(error).__name__}: {error}"
-            raise WorldError(field=f"net, {path}", expected=expected, received=received) from None
+            raise WorldError(field, expected, received) from None
         self._edges = self._connected(self._ends() if route is None else route)
         self.edges = [edge.getID() for edge in self._edges]
         # The centre line of each lane along the route, from the left [m].
         columns = self._columns()
-        self.lines = [_line(columns[number]) for number in sorted(columns)]
+        numbers = sorted(columns)
+        self.lines = [_line(columns[number]) for number in numbers]
         # The number of lanes to the left of the first edge's lanes, and the lanes of this edge, from 0 at its left.
-        self.left = sum(number < 0 for number in columns)
-        first_lanes = [
-            sorted(columns).index(number)
-            for number, lanes in columns.items()
-            if lanes[0].getEdge() is self._edges[0]
+        self.left = sum(number < 0 for number in numbers)
+        start = self._edges[0]
+        self.starts = [
+            index - self.left
+            for index, number in enumerate(numbers)
+            if columns[number][0].getEdge() is start
         ]
-        self.starts = [each - self.left for each in first_lanes]
         # The road is measured along its longest lane, so that lane must start at the start of the route.
-        longest = max(columns.values(), key=_length)
-        if longest[0].getEdge() is not self._edges[0]:
-            first, after = self.edges[0], longest[0].getEdge().getID()
-            received = f"{first!r}, whose lanes end before the lanes that start in {after!r}"
-            expected = "a route on which the longest lane starts in the first edge"
-            raise self._refused(
-                expected, received, f"start the route with another edge, such as {after!r}"
+        other = max(columns.values(), key=_length)[0].getEdge()
+        if other is not start:
+            after = other.getID()
+            raise WorldError(
+                "route",
+                "a route on which the longest lane starts in the first edge",
+                f"{self.edges[0]!r}, whose lanes end before the lanes that start in {after!r}",
+                f"start the route with another edge, such as {after!r}",
             )
-        first = self._cars(self._edges[0])
-        self.width = float(first[0].getWidth())
-        self.limit = min(
-            float(lane.getSpeed()) for edge in self._edges for lane in self._cars(edge)
-        )
-
-    def _refused(self, expected: str, received: str, fix: str) -> WorldError:
-        return WorldError(field="route", expected=expected, received=received, fix=fix)
+        self.width = float(self._cars(start)[0].getWidth())
+        lanes = [lane for edge in self._edges for lane in self._cars(edge)]
+        self.limit = min(float(lane.getSpeed()) for lane in lanes)
 
     def _ends(self) -> list[str]:
         # The only possible route.
-        edges = [each for each in self._net.getEdges(withInternal=False) if self._cars(each)]
+        edges = self._edges_for_cars()
         first = [each.getID() for each in edges if not each.getIncoming()]
         last = [each.getID() for each in edges if not each.getOutgoing()]
         if len(first) != 1 or len(last) != 1:
             some = ", ".join(repr(each.getID()) for each in edges[:6])
-            expected = "the edges of the ego's route, because this network has more than one route"
-            raise self._refused(
-                expected, "None", f"write route=[first, last] with edges such as {some}"
+            raise WorldError(
+                "route",
+                "the edges of the ego's route, because this network has more than one route",
+                "None",
+                f"write route=[first, last] with edges such as {some}",
             )
-        return [*first, *last] if first != last else first
+        if first == last:
+            return first
+        return first + last
+
+    def _edges_for_cars(self) -> list[Any]:
+        return [each for each in self._net.getEdges(withInternal=False) if self._cars(each)]
 
     def _connected(self, route: Sequence[str]) -> list[Any]:
-        # The shortest path connects two edges that are not adjacent.
         edges: list[Any] = []
         for name in route:
             if not self._net.hasEdge(name) or not self._cars(self._net.getEdge(name)):
-                near = [
-                    each.getID()
-                    for each in self._net.getEdges(withInternal=False)
-                    if self._cars(each)
-                ][:6]
-                raise self._refused(
-                    "edges for passenger cars", repr(name), f"use edges such as {', '.join(near)}"
-                )
+                near = ", ".join(each.getID() for each in self._edges_for_cars()[:6])
+                fix = f"use edges such as {near}"
+                raise WorldError("route", "edges for passenger cars", repr(name), fix)
             edge = self._net.getEdge(name)
-            if edges:
-                found, _ = self._net.getShortestPath(edges[-1], edge, vClass="passenger")
-                if not found:
-                    received = f"{edges[-1].getID()!r} and {name!r}, which are not connected"
-                    raise self._refused(
-                        "edges that are connected in this order", received, "omit one of them"
-                    )
-                edges += found[1:]
-            else:
+            if not edges:
                 edges = [edge]
+                continue
+            # The shortest path connects two edges that are not adjacent.
+            found, _ = self._net.getShortestPath(edges[-1], edge, vClass="passenger")
+            if not found:
+                received = f"{edges[-1].getID()!r} and {name!r}, which are not connected"
+                expected = "edges that are connected in this order"
+                raise WorldError("route", expected, received, "omit one of them")
+            edges += found[1:]
         return edges
 
     @staticmethod
@@ -252,12 +253,12 @@ class Way:
         # The pieces of each lane, in order, by the number of the lane from the left. A lane continues in a lane of the
         # next edge if they are connected, and if most lanes move as many positions to the left or right. If two pieces
         # have the same number, the shorter one is omitted.
-        shift, parts = (
-            0,
-            {number: [[lane]] for number, lane in enumerate(self._cars(self._edges[0]))},
-        )
-        for before, after in zip(self._edges, self._edges[1:], strict=False):
-            old, new = self._cars(before), self._cars(after)
+        shift = 0
+        first = self._cars(self._edges[0])
+        parts = {number: [[lane]] for number, lane in enumerate(first)}
+        for before, after in pairwise(self._edges):
+            old = self._cars(before)
+            new = self._cars(after)
             joined = [
                 (old.index(each.getFromLane()), new.index(each.getToLane()), each)
                 for each in before.getOutgoing().get(after, ())
@@ -265,7 +266,8 @@ class Way:
             ]
             # The number of positions that most lanes move to the right from one edge to the next.
             moves = [there - here for here, there, _ in joined]
-            move = max(sorted(set(moves), key=abs), key=moves.count)
+            smallest_first = sorted(set(moves), key=abs)
+            move = max(smallest_first, key=moves.count)
             shift -= move
             via = {there: each for here, there, each in joined if there - here == move}
             # Continue each lane, or start a new piece if nothing leads to it.
@@ -279,7 +281,8 @@ class Way:
 
     def _inside(self, connection: Any) -> list[Any]:
         # The lanes within the junction.
-        lanes, via = [], connection.getViaLaneID()
+        lanes = []
+        via = connection.getViaLaneID()
         while via:
             lane = self._net.getLane(via)
             lanes.append(lane)

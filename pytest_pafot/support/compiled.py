@@ -24,24 +24,25 @@ FORCED, ABSENT = "PAFOT_KERNEL", "not compiled at installation"
 
 def typed(*folders: str) -> list[Path]:
     """Return the paths, without suffixes, of those modules in the folders that have a ``.pxd`` file."""
-    # Editors create files such as `.#loop.pxd` there.
-    return [
-        path.with_suffix("")
-        for each in folders
-        for path in sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))
-    ]
+    found: list[Path] = []
+    for each in folders:
+        # Editors create files such as `.#loop.pxd` there.
+        files = sorted(Path(PACKAGE, each).glob("[a-z]*.pxd"))
+        found += [path.with_suffix("") for path in files]
+    return found
 
 
 def record() -> str:
     """Return the record of a build: one line per source, with its digest and name."""
     # A build writes this as its last step, after it has removed the record of an earlier build. So the file means that
     # the build is complete. Line endings make no difference.
-    sources = [path.with_suffix(suffix) for path in typed(*FOLDERS) for suffix in (".pxd", ".py")]
-    texts = {
-        path.relative_to(PACKAGE).as_posix(): path.read_bytes().replace(b"\r\n", b"\n")
-        for path in sources
-    }
-    return "".join(f"{sha256(text).hexdigest()} {name}\n" for name, text in texts.items())
+    lines = ""
+    for path in typed(*FOLDERS):
+        for source in (path.with_suffix(".pxd"), path.with_suffix(".py")):
+            text = source.read_bytes().replace(b"\r\n", b"\n")
+            name = source.relative_to(PACKAGE).as_posix()
+            lines += f"{sha256(text).hexdigest()} {name}\n"
+    return lines
 
 
 def why_interpreted() -> str:
@@ -55,10 +56,10 @@ def why_interpreted() -> str:
         return ABSENT
     # Sources that have changed since the build must not run together with compiled modules.
     made = PACKAGE / f"{SHARED}{EXTENSION_SUFFIXES[0]}.txt"
-    lines = made.read_text("utf-8").splitlines() if made.exists() else []
-    other = {
-        line.rpartition(" ")[2] for line in {*record().splitlines()}.symmetric_difference(lines)
-    }
+    lines = {*record().splitlines()}
+    if made.exists():
+        lines ^= {*made.read_text("utf-8").splitlines()}
+    other = {line.rpartition(" ")[2] for line in lines}
     other |= {path.name for path in modules if not path.with_suffix(EXTENSION_SUFFIXES[0]).exists()}
     if not other:
         return ""
@@ -67,7 +68,8 @@ def why_interpreted() -> str:
 
 def load(package: str) -> None:
     """Import all typed modules of a package, either all compiled or all interpreted."""
-    folder, reason = sys.modules[package].__path__[0], why_interpreted()
+    folder = sys.modules[package].__path__[0]
+    reason = why_interpreted()
     sys.path_importer_cache.pop(folder, None)
     if reason not in ("", ABSENT):
         sys.path_importer_cache[folder] = FileFinder(folder, (SourceFileLoader, SOURCE_SUFFIXES))

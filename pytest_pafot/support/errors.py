@@ -28,26 +28,36 @@ class FieldError(ValueError):
 
     def __init__(
         self,
-        text: str = "",
-        *,
         field: str = "",
         expected: str = "",
         received: str = "",
         fix: str = "",
+        *,
+        text: str = "",
     ) -> None:
         from pytest_pafot.support.text import visible  # noqa: PLC0415  (most sessions of pytest meet no such error)
 
+        if (
+            not expected and not text
+        ):  # a message without parts is the only argument, as after unpickling
+            field, text = "", field
         # One line that is safe to print, even if it quotes a file from an untrusted source.
         super().__init__(visible(text or sentence(field, expected, received, fix)))
-        self.field, self.expected, self.received, self.fix = field, expected, received, fix
+        self.field = field
+        self.expected = expected
+        self.received = received
+        self.fix = fix
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
     """Format the message ``field: expected this, received that. Fix``."""
-    place = f"{field}: " if field else ""
+    text = f"expected {expected}, received {received}"
+    if field:
+        text = f"{field}: {text}"
     # A fix that starts with code stays as it is.
-    fix = fix[0].upper() + fix[1:] if re.match(r"[a-z]+[ ,:]", fix) else fix
-    return f"{place}expected {expected}, received {received}{fix and f'. {fix}'}"
+    if re.match(r"[a-z]+[ ,:]", fix):
+        fix = fix[0].upper() + fix[1:]
+    return f"{text}. {fix}" if fix else text
 
 
 def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:
@@ -71,7 +81,7 @@ def checked_number(
     """Return a value as a float, or raise ``error`` if it is not a finite number from ``least`` to ``most``."""
     number = plain_number(value)
     if number is None or not least <= number <= most:
-        raise error(field=field, expected=expected, received=f"{value!r:.100}")
+        raise error(field, expected, f"{value!r:.100}")
     return float(number)
 
 
@@ -87,7 +97,7 @@ def checked_whole(
     """Return a value as an int, or raise ``error`` if it is not a whole number from ``least`` to ``most``."""
     number = plain_whole(value)
     if number is None or not least <= number <= most:
-        raise error(field=field, expected=expected, received=f"{value!r:.100}")
+        raise error(field, expected, f"{value!r:.100}")
     return number
 
 
@@ -95,11 +105,14 @@ def plain_number(value: object) -> float | None:
     """Return a finite number as Python's own int or float, or None for any other value."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
+    kind: Any = int if isinstance(value, Integral) else float
     try:
-        number = int(value) if isinstance(value, Integral) else float(value)
-        return number if math.isfinite(number) else None
+        number: float = kind(value)
+        if math.isfinite(number):
+            return number
     except OverflowError:  # The int is too large for a float.
-        return None
+        pass
+    return None
 
 
 def plain_whole(value: object) -> int | None:
@@ -141,10 +154,13 @@ class CorpusError(FieldError):
         field: str = "",
         line: int | None = None,
     ) -> None:
-        place = f"{path}" if line is None else f"{path}:{line}"
+        place = str(path)
+        if line is not None:
+            place += f":{line}"
         text = f"{place}: {sentence(field, expected, received, fix)}"
-        super().__init__(text, field=field, expected=expected, received=received, fix=fix)
-        self.path, self.line = path, line
+        super().__init__(field, expected, received, fix, text=text)
+        self.path = path
+        self.line = line
 
 
 # The commands, options and packages that messages recommend. A test runs everything that these functions return.
@@ -164,7 +180,9 @@ def command(*words: object) -> str:
 def flag(name: str, value: object = None) -> str:
     """Format an option for pytest or the command ``search``, such as ``--pafot-max-time=5``."""
     option = f"--pafot-{name.replace('_', '-')}"
-    return option if value is None else shlex.join([f"{option}={value}"])
+    if value is None:
+        return option
+    return shlex.join([f"{option}={value}"])
 
 
 def install(name: str) -> str:
@@ -181,21 +199,21 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
     if saved and OF_REPLAY in environ:
         return command("pytest_pafot", "replay", saved, *shlex.split(environ[OF_REPLAY]))
     given = shlex.split(environ[OF_SEARCH])
-    end = given.index("--") if "--" in given else len(given)
+    # Options cannot follow "--".
+    end = [*given, "--"].index("--")
     return shlex.join([*given[:end], *options, *given[end:]])
 
 
 def asserts_run(function: Callable[..., Any]) -> bool:
     """Return whether Python executes the assertions in a function."""
     # `python -O` disables all assertions that pytest does not rewrite. This package does not need assertions.
-    known = getattr(function, "__globals__", None) or getattr(
-        type(function).__call__, "__globals__", {}
-    )
-    return (
-        __debug__
-        or "@pytest_ar" in known
-        or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
-    )
+    if __debug__:
+        return True
+    known = getattr(function, "__globals__", None)
+    if not known:
+        known = getattr(type(function).__call__, "__globals__", {})
+    package, _, _ = str(known.get("__name__")).partition(".")
+    return "@pytest_ar" in known or package == "pytest_pafot"
 
 
 def check_asserts(holds: Callable[..., Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import re
@@ -10,10 +9,9 @@ import secrets
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import MappingProxyType
 from typing import BinaryIO, TypeVar, cast
 
 from pytest_pafot.support.errors import RequestError
@@ -25,7 +23,7 @@ from pytest_pafot.support.text import visible
 if sys.platform != "win32":
     import fcntl
 
-_HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
+_HELD = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 
 
 def hold(descriptor: int) -> bool:
@@ -52,13 +50,17 @@ def pid_of(path: Path) -> int:
     """Return the process id in a file's name, or 0."""
     # The id is the first part of the name, or follows a dot and a word.
     digits = re.match(r"(?:\.[a-z]+-)?(\d{1,11})-", path.name, re.ASCII)
-    return int(digits[1]) if digits else 0
+    if digits is None:
+        return 0
+    return int(digits[1])
 
 
 def _is_alive(pid: int) -> bool:
     # Windows has no harmless check (`os.kill(pid, 0)` ends the process there), so every process counts as alive.
-    if sys.platform == "win32" or pid <= 0:
-        return pid > 0
+    if pid <= 0:
+        return False
+    if sys.platform == "win32":
+        return True
     try:
         os.kill(pid, 0)
     except OSError as error:
@@ -79,23 +81,21 @@ T = TypeVar("T")
 TEMPORARY = ".pafot-"
 
 # The advice for each error number. `{}` is replaced by advice on how to name another folder.
-_WAYS_OUT: Mapping[int, str] = MappingProxyType(
-    {
-        errno.ENOSPC: "Free some space on the disk, {}",
-        errno.EDQUOT: "Free some of your disk quota, {}",
-        errno.EROFS: "Mount the file system with write access, {}",
-        errno.ENAMETOOLONG: "Shorten the name of a folder, of the test or of a parameter, {}",
-        errno.ENOTDIR: "Rename or delete the file that has the same name as the folder, {}",
-        errno.EEXIST: "Rename or delete the file that has the same name as the folder, {}",
-        errno.EISDIR: "Rename or delete the folder that has this name, {}",
-        errno.ENOENT: "Create the missing folder, {}",
-        errno.EINVAL: "Delete the link or special file that has this name, {}",
-        errno.ELOOP: "Remove the link that points to itself from the path, {}",
-        errno.EMFILE: "Close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
-        errno.ENFILE: "Close files in other programs on this machine, or raise its limit on open files",
-        errno.EIO: "Check the disk and the network, {}",
-    }
-)
+_WAYS_OUT = {
+    errno.ENOSPC: "Free some space on the disk, {}",
+    errno.EDQUOT: "Free some of your disk quota, {}",
+    errno.EROFS: "Mount the file system with write access, {}",
+    errno.ENAMETOOLONG: "Shorten the name of a folder, of the test or of a parameter, {}",
+    errno.ENOTDIR: "Rename or delete the file that has the same name as the folder, {}",
+    errno.EEXIST: "Rename or delete the file that has the same name as the folder, {}",
+    errno.EISDIR: "Rename or delete the folder that has this name, {}",
+    errno.ENOENT: "Create the missing folder, {}",
+    errno.EINVAL: "Delete the link or special file that has this name, {}",
+    errno.ELOOP: "Remove the link that points to itself from the path, {}",
+    errno.EMFILE: "Close files that the policy and the tests open, or raise the limit on open files (ulimit -n)",
+    errno.ENFILE: "Close files in other programs on this machine, or raise its limit on open files",
+    errno.EIO: "Check the disk and the network, {}",
+}
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -106,11 +106,12 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Raises:
         OSError: if the file cannot be written. No temporary file is left behind.
     """
-    data = content.encode() if isinstance(content, str) else content
+    if isinstance(content, str):
+        content = content.encode()
     if is_stream(path):
-        append(path, data)
+        append(path, content)
     else:
-        _through_temporary(path, data, Path.replace)
+        _through_temporary(path, content, Path.replace)
 
 
 def append(path: Path, content: str | bytes) -> None:
@@ -119,14 +120,16 @@ def append(path: Path, content: str | bytes) -> None:
     Raises:
         OSError: if the path is a link or cannot be written. The file keeps its old length.
     """
-    rest = memoryview(content.encode() if isinstance(content, str) else content)
+    if isinstance(content, str):
+        content = content.encode()
+    rest = memoryview(content)
     with path.open("ab") if is_stream(path) else open_regular(path, "ab") as file:
         size = os.fstat(file.fileno()).st_size
         try:
             while rest:
                 rest = rest[os.write(file.fileno(), rest) :]
         except OSError:
-            with contextlib.suppress(OSError):  # a stream has no length
+            with suppress(OSError):  # a stream has no length
                 os.ftruncate(file.fileno(), size)
             raise
 
@@ -135,9 +138,9 @@ def is_stream(path: Path) -> bool:
     """Return whether a path is a pipe, a character device, or a system link to either, such as ``/dev/stdout``."""
     # Content is written into it, because a regular file in its place would take it away from every process.
     folder = os.path.realpath(path.parent)
-    is_of_system = folder == "/dev" or re.fullmatch(r"/proc/\d+/fd", folder) is not None
+    is_of_system = re.fullmatch(r"/dev|/proc/\d+/fd", folder) is not None
     try:
-        mode = path.stat().st_mode if is_of_system else path.lstat().st_mode
+        mode = path.stat(follow_symlinks=is_of_system).st_mode
     except (OSError, ValueError):  # the file does not exist, or cannot be written either
         return False
     return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or (is_of_system and path.is_symlink())
@@ -153,14 +156,16 @@ def way_out(error: OSError, elsewhere: str) -> str:
     return _WAYS_OUT.get(error.errno or 0, "Make the folder writable, {}").format(elsewhere)
 
 
-@contextlib.contextmanager
+@contextmanager
 def written_into(folder: Path) -> Iterator[None]:
     """Turn an ``OSError`` raised within the ``with`` block into a ``RequestError`` for ``--out``."""
     try:
         yield
     except OSError as error:
         # Name an existing file that is in the way, but not a temporary file that was being written.
-        what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
+        what = error.filename2 or folder
+        if not error.filename2 and isinstance(error, FileExistsError):
+            what = error.filename
         raise RequestError(
             f"--out: expected a writable folder, received {what}: {error.strerror or error}. "
             f"{way_out(error, 'or give another folder')}"
@@ -169,7 +174,7 @@ def written_into(folder: Path) -> Iterator[None]:
 
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
     """Open a regular file in a binary mode, or raise an ``OSError`` for a link, pipe or device."""
-    with contextlib.suppress(FileNotFoundError):  # some modes create the file
+    with suppress(FileNotFoundError):  # some modes create the file
         # before opening, because opening some devices has side effects
         _check_regular(path, path.lstat())
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
@@ -185,31 +190,32 @@ def remove_unfinished(folder: Path) -> None:
     """Remove the temporary files of killed processes from a folder."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
         # a leftover does no harm, because no code reads files with such a name
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
-                with contextlib.suppress(PermissionError):  # Windows does not remove open files
+                with suppress(PermissionError):  # Windows does not remove open files
                     # during the lock, so that no process starts to write to the file
                     path.unlink(missing_ok=True)
             path.unlink(missing_ok=True)
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        what = (
-            "a symbolic link"
-            if stat.S_ISLNK(status.st_mode)
-            else "a folder"
-            if stat.S_ISDIR(status.st_mode)
-            else ""
-        )
-        raise OSError(errno.EINVAL, f"Is {what or 'a special file'}", str(path))
+    if stat.S_ISREG(status.st_mode):
+        return
+    what = "a special file"
+    if stat.S_ISLNK(status.st_mode):
+        what = "a symbolic link"
+    elif stat.S_ISDIR(status.st_mode):
+        what = "a folder"
+    raise OSError(errno.EINVAL, f"Is {what}", str(path))
 
 
 def _open_in_place(path: str, flags: int) -> int:
     # Do not follow a link, and do not wait for the writer of a pipe. Windows has neither of these flags.
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    for name in ("O_NOFOLLOW", "O_NONBLOCK"):
+        flags |= getattr(os, name, 0)
+    return os.open(path, flags, 0o666)
 
 
 def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:
@@ -224,10 +230,10 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
             file.flush()
             # so that the content is on the disk before the file gets its name
             os.fsync(file.fileno())
-            if os.name != "nt":
-                # still locked, so that no process removes the file as a leftover
-                return finish(temporary, path)
-        return finish(temporary, path)
+            if os.name == "nt":  # cannot rename an open file
+                file.close()
+            # elsewhere still locked, so that no process removes the file as a leftover
+            return finish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -260,14 +266,14 @@ def _publish(temporary: Path, path: Path) -> bool:
 
 
 # Variables that a git hook or alias sets. With them, git would use the caller's index.
-OF_A_CALLER = (
+OF_A_CALLER = {
     "GIT_DIR",
     "GIT_WORK_TREE",
     "GIT_INDEX_FILE",
     "GIT_COMMON_DIR",
     "GIT_PREFIX",
     "GIT_NAMESPACE",
-)
+}
 
 # With this variable, git fetches nothing, such as missing objects of a partial clone.
 OFFLINE = {"GIT_ALLOW_PROTOCOL": ""}
@@ -286,11 +292,11 @@ def git(folder: Path, *arguments: str) -> str:
         RequestError: if git fails, with git's own message.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
-    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false"]
+    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", *arguments]
     own = {name: value for name, value in os.environ.items() if name not in OF_A_CALLER}
     try:
         done = subprocess.run(  # noqa: S603  (no shell)
-            [*command, *arguments],
+            command,
             env=own | OFFLINE,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -301,17 +307,15 @@ def git(folder: Path, *arguments: str) -> str:
             "expected the program git, which was not found on the PATH. Install git"
         ) from None
     except ValueError as error:  # a string that no command line can contain
-        given = next(
-            (each for each in (str(folder), *arguments) if not each.isprintable()), str(folder)
-        )
+        words = (str(folder), *arguments)
+        given = next((each for each in words if not each.isprintable()), words[0])
         raise RequestError(
             f"git: expected a valid name, received {given!a:.200} ({error}). Use another name"
         ) from None
     if done.returncode:
-        command = [each for each in arguments if not each.startswith("--")]
-        raise RequestError(
-            f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}"
-        )
+        subcommand = next(each for each in arguments if not each.startswith("--"))
+        message = visible(os.fsdecode(done.stderr).strip())
+        raise RequestError(f"git {subcommand} in {folder}: {message}")
     return os.fsdecode(done.stdout)
 
 
@@ -319,26 +323,23 @@ def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
     """Return the commit that added each file in some folders, without files whose commit is unknown."""
     # The files in the oldest commit of a shallow clone are omitted, because an earlier commit may have added them.
     found: dict[Path, Since] = {}
-    form = (
-        "-z",
-        "--no-show-signature",
-        "--format=%x01%h %cs %p",
-        "--no-color",
-        "--no-renames",
-        "--no-relative",
+    log = (
+        *("-c", "log.showRoot=true", "log", "-z", "--no-show-signature"),
+        *("--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative"),
+        *("--name-only", "--diff-filter=A", "--"),
     )
     for folder in folders:
         with suppress(RequestError, OSError):
-            root = Path(
-                os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n"))
-            )
+            top = git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")
+            root = Path(os.path.realpath(top))
             is_shallow = git(root, "rev-parse", "--is-shallow-repository").strip() == "true"
-            log = ("-c", "log.showRoot=true", "log", *form, "--name-only", "--diff-filter=A")
-            commit, day, parents = "", "", ""
+            commit = day = parents = ""
             # The newest commit is first.
-            for part in git(root, *log, "--", str(folder.resolve())).split("\0"):
+            output = git(root, *log, str(folder.resolve()))
+            for part in output.split("\0"):
+                name = part.removeprefix("\n")
                 if part.startswith("\1"):
                     commit, day, parents = part.removeprefix("\1").split(" ", 2)
-                elif (name := part.removeprefix("\n")) and (parents.strip() or not is_shallow):
+                elif name and (parents.strip() or not is_shallow):
                     found.setdefault(root / name, (commit, day))
     return found

@@ -34,7 +34,8 @@ class Ended(KeyboardInterrupt):
 
     def __init__(self, number: int) -> None:
         super().__init__(f"received {signal.Signals(number).name}")
-        self.number, self.code = number, 128 + number
+        self.number = number
+        self.code = 128 + number
 
 
 @contextmanager
@@ -47,18 +48,22 @@ def interrupted_by_signals(
     """
     # Signals that the user's code handles, or that are ignored as by `nohup`, are left alone. Python drops an exception
     # that a handler raises during a finaliser or a weak reference's callback, so the interrupt is repeated soon after.
-    owner, ended, told = getpid(), False, sys.unraisablehook
+    owner = getpid()
+    ended = False
+    told = sys.unraisablehook
 
     def received(number: int, _: object) -> None:
         nonlocal ended
         if not ended:
             ended = True
-            note(error := Ended(number))
+            error = Ended(number)
+            note(error)
             raise error
 
     def pressed(number: int, frame: FrameType | None) -> None:
         if getpid() == owner:
-            note(error := KeyboardInterrupt())
+            error = KeyboardInterrupt()
+            note(error)
             raise error
         signal.default_int_handler(number, frame)
 
@@ -67,10 +72,8 @@ def interrupted_by_signals(
         if not isinstance(lost.exc_value, KeyboardInterrupt) or getpid() != owner:
             told(lost)
             return
-        ended, number = (
-            False,
-            lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT,
-        )
+        ended = False
+        number = getattr(lost.exc_value, "number", signal.SIGINT)
         threading.Timer(AGAIN_SECONDS, os.kill, (owner, number)).start()
 
     is_main = threading.current_thread() is threading.main_thread()
@@ -107,20 +110,19 @@ def postponed() -> Iterator[None]:
             handler(number, frame)
         came.append((number, monotonic()))
 
-    mine = [
-        number
-        for number, handler in before.items()
-        if callable(handler) or handler == signal.SIG_DFL
-    ]
-    for number in mine:  # ignored signals, as by `nohup`, stay ignored
-        signal.signal(number, received)
+    mine = []
+    for number, handler in before.items():
+        if callable(handler) or handler == signal.SIG_DFL:
+            mine.append(number)
+            signal.signal(number, received)
+    # Other signals, such as those ignored by `nohup`, stay ignored.
     try:
         yield
     finally:
         for number in mine:
             signal.signal(number, before[number])
-        for number, _ in came[:1]:
-            signal.raise_signal(number)
+        if came:
+            signal.raise_signal(came[0][0])
 
 
 def _let_forks_end() -> None:
@@ -211,7 +213,9 @@ def taken_receipt(folder: str, left: int) -> int | None:
 
 def ended_with(left: int) -> int:
     """Convert an exit code, which is negative for a signal, to the code that a shell reports."""
-    return left if left >= 0 else 128 - left
+    if left < 0:
+        return 128 - left
+    return left
 
 
 def unfinished(code: int) -> str:
@@ -255,16 +259,26 @@ class _Replaced:
         if bool(self._back) != is_shown:
             yield
             return
-        (self._put_back if is_shown else self._put_aside)()
+        enter = self._put_aside
+        leave = self._put_back
+        if is_shown:
+            enter, leave = leave, enter
+        enter()
         try:
             yield
         finally:
-            (self._put_aside if is_shown else self._put_back)()
+            leave()
 
     def _put_aside(self) -> None:
-        own = [each for each in _OWN if vars(each[0]).get(each[1]) is not each[2]]
-        replaced = [(owner, name, vars(owner).get(name)) for owner, name, _ in own]
-        self._back += [lambda: _put(replaced)] if replaced else []
+        own = []
+        replaced = []
+        for owner, name, value in _OWN:
+            now = vars(owner).get(name)
+            if now is not value:
+                own.append((owner, name, value))
+                replaced.append((owner, name, now))
+        if own:
+            self._back.append(lambda: _put(replaced))
         # pyfakefs replaces functions in every module, also in modules that are imported in the meantime.
         faked = getattr(sys.modules.get("pyfakefs.fake_filesystem_unittest"), "Patcher", None)
         if faked is not None and faked.PATCHER is not None and faked.PATCHER.is_patching:
@@ -279,7 +293,10 @@ class _Replaced:
 
 def _put(places: Iterable[tuple[Any, str, object]]) -> None:
     for owner, name, value in places:
-        delattr(owner, name) if value is None else setattr(owner, name, value)
+        if value is None:
+            delattr(owner, name)
+        else:
+            setattr(owner, name, value)
 
 
 REPLACED = _Replaced()
@@ -294,10 +311,8 @@ RULES_VERSION = "3"
 
 def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
     """Return the versions of the verdict rules and of the packages on which a run depends."""
-    return {
-        **{package: _version_of(package) for package in (*PACKAGES, *others)},
-        RULES: RULES_VERSION,
-    }
+    versions = {package: _version_of(package) for package in (*PACKAGES, *others)}
+    return versions | {RULES: RULES_VERSION}
 
 
 # A loaded package does not change, and reading its metadata takes as long as replaying a file.
@@ -311,9 +326,9 @@ def _version_of(package: str) -> str:
 
 def cores(root: Path = Path("/")) -> int:
     """Return the number of cores that this process may use. ``root`` is the folder with ``proc`` and ``sys``."""
-    counts = [
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    ]
+    counts = [os.cpu_count() or 1]
+    if hasattr(os, "sched_getaffinity"):
+        counts = [len(os.sched_getaffinity(0))]
     for quota, *period in cpu_limits(root):  # CPU time [us] of all cores together in each period
         # rounded up; 100 ms is the kernel's default
         counts.append(-(-quota // (period or [100_000])[0]))
@@ -322,20 +337,18 @@ def cores(root: Path = Path("/")) -> int:
 
 def cpu_limits(root: Path) -> Iterator[list[int]]:
     """Yield the numbers in each ``cpu.max`` file that limits this process's cgroup or a parent cgroup."""
-    # If a container hides its own path, the root is the cgroup, and the file is directly in the mounted folder.
-    groups = [PurePosixPath()]
+    groups: list[PurePosixPath] = []
     with suppress(OSError):
-        lines = os.fsdecode((root / "proc/self/cgroup").read_bytes()).splitlines()
-        own = [
-            PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")
-        ]
-        groups = [group for path in own for group in (path, *path.parents)] or groups
-    for group in dict.fromkeys(groups):
+        content = (root / "proc/self/cgroup").read_bytes()
+        for line in os.fsdecode(content).splitlines():
+            if line.startswith("0::/"):
+                own = PurePosixPath(line.removeprefix("0::/"))
+                groups += (own, *own.parents)
+    # If a container hides its own path, the root is the cgroup, and the file is directly in the mounted folder.
+    for group in dict.fromkeys(groups or [PurePosixPath()]):
         # The outermost cgroup has no file, "max" means no limit, and a container may emulate the files badly.
         with suppress(OSError, ValueError):
-            numbers = [
-                int(word)
-                for word in (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()
-            ]
+            words = (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()
+            numbers = [*map(int, words)]
             if numbers and min(numbers) > 0:
                 yield numbers

@@ -14,7 +14,9 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterator
-from importlib.machinery import PathFinder
+from contextlib import suppress
+from importlib.machinery import ModuleSpec, PathFinder
+from itertools import accumulate
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
@@ -42,35 +44,37 @@ def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]
         raise ValueError(
             f"expected {what}, received {received}. Name a function or a class instead"
         )
-    return functools.partial(factory, argument) if argument else factory
+    if not argument:
+        return factory  # type: ignore[no-any-return]
+    return functools.partial(factory, argument)
 
 
 def referred_to(reference: str, what: str = "a name") -> Any:
     """Import the object in a string such as ``module:name``, or raise a ``ValueError``."""
     module_name, _, name = reference.partition(":")
     module = imported(reference)
-    if not hasattr(module, name):
-        near = difflib.get_close_matches(name, vars(module), n=1)
+    if hasattr(module, name):
+        return getattr(module, name)
+    near = difflib.get_close_matches(name, vars(module), n=1)
+    if near:
+        hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?"
+        subject = " The module"
+    else:
         own = [
             each
             for each, value in vars(module).items()
             if getattr(value, "__module__", "") == module_name
         ]
-        hint = f". Did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
-        names = [*own[:MOST_NAMES], *(["others"] if len(own) > MOST_NAMES else [])]
-        hint = hint or f". The module defines {listed(names) or 'no functions or classes'}"
-        file = getattr(module, "__file__", None)
+        if len(own) > MOST_NAMES:
+            own[MOST_NAMES:] = ["others"]
+        hint = f". The module defines {listed(own) or 'no functions or classes'}"
+        subject = ". It"
+    file = getattr(module, "__file__", None) or ""
+    # The user may have expected another module with the same name.
+    if not Path(file).is_relative_to(Path.cwd()):
         origin = f"was loaded from {file}" if file else "is built into Python"
-        # The user may have expected another module with the same name.
-        hint += (
-            ""
-            if Path(file or "").is_relative_to(Path.cwd())
-            else f"{' The module' if near else '. It'} {origin}"
-        )
-        raise ValueError(
-            f"expected {what} in the module {module_name}, received {reference!r}{hint}"
-        )
-    return getattr(module, name)
+        hint += f"{subject} {origin}"
+    raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
 
 
 def imported(reference: str) -> ModuleType:
@@ -83,20 +87,19 @@ def imported(reference: str) -> ModuleType:
     # A script without a guard calls sys.exit() when it is imported.
     except (Exception, SystemExit) as error:
         # A module that imports a missing module raises ModuleNotFoundError, too.
-        is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(
+        if isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(
             f"{error.name}."
-        )
-        way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
-        path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
-        # otherwise, it is not a path, or not below this folder
-        if path != module_name and not path.startswith("."):
-            way_out = f"Write {path}:{name}"
-        received = (
-            f" ({type(error).__name__}: {error})"
-            if is_missing
-            else f", whose import raises {described(error)}"
-        )
-        way_out = way_out if is_missing else "Correct the module"
+        ):
+            received = f" ({type(error).__name__}: {error})"
+            way_out = "Change to the module's folder, or add it to the Python path (pytest setting: `pythonpath = .`)"
+            path = os.path.relpath(module_name.removesuffix(".py") or ".")
+            path = path.replace(os.sep, ".")
+            # otherwise, it is not a path, or not below this folder
+            if path != module_name and not path.startswith("."):
+                way_out = f"Write {path}:{name}"
+        else:
+            received = f", whose import raises {described(error)}"
+            way_out = "Correct the module"
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}. {way_out}"
         ) from error
@@ -105,10 +108,10 @@ def imported(reference: str) -> ModuleType:
 def name_of(factory: Callable[..., Any]) -> str:
     """Return the name ``module:name`` of a function or class, or an empty string if it cannot be imported."""
     name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
-    try:
-        return name if referred_to(name) is factory else ""
-    except ValueError:
-        return ""
+    with suppress(ValueError):
+        if referred_to(name) is factory:
+            return name
+    return ""
 
 
 def policy_name(factory: Any) -> str:
@@ -119,13 +122,12 @@ def policy_name(factory: Any) -> str:
         made = made.func
     if isinstance(made, FunctionType) and made.__name__ == "<lambda>":
         uses = inspect.getclosurevars(made)
-        used = [
-            each
-            for each in (*uses.nonlocals.values(), *uses.globals.values())
-            if hasattr(each, "__qualname__")
-        ]
-        made = used[0] if len(used) == 1 else made
-    made = made if hasattr(made, "__qualname__") else type(made)
+        values = [*uses.nonlocals.values(), *uses.globals.values()]
+        used = [each for each in values if hasattr(each, "__qualname__")]
+        if len(used) == 1:
+            made = used[0]
+    if not hasattr(made, "__qualname__"):
+        made = type(made)
     return f"{made.__module__}:{made.__qualname__}"
 
 
@@ -133,16 +135,17 @@ def described(error: BaseException) -> str:
     """Describe an exception in the user's code in one line: class, message and position."""
     # Skip lines of this package, which only called the user's code or rejected a value, and code without a file, such
     # as the `__init__` of a dataclass.
-    here = f"{Path(__file__).parents[1]}{os.sep}", "<"
+    skipped = f"{Path(__file__).parents[1]}{os.sep}", "<"
     frames = [
         each
         for each in traceback.extract_tb(error.__traceback__)
-        if not each.filename.startswith(here)
+        if not each.filename.startswith(skipped)
     ]
     text = one_line("".join(traceback.format_exception_only(error)))
     # the message of a SyntaxError names the place
-    has_place = isinstance(error, SyntaxError) or not frames
-    return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
+    if frames and not isinstance(error, SyntaxError):
+        text += f" ({frames[-1].filename}:{frames[-1].lineno})"
+    return text
 
 
 # Folders with installed packages.
@@ -157,7 +160,9 @@ class _Source(NamedTuple):
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:
     """Return the source files of the user's objects and of their imports, with module names and content hashes."""
     found: dict[Path, tuple[str, str]] = {}
-    left = [source for value in values for source in _defining(value, set())]
+    left: list[_Source] = []
+    for value in values:
+        left += _defining(value, set())
     while left:
         source = left.pop()
         file = source.file.resolve()
@@ -189,30 +194,32 @@ def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
         file = value.__code__.co_filename
         if not file.startswith("<"):  # such as a function from an interactive session or from exec
             yield _Source(value.__module__ or "", Path(file))
-    for each in _held(value):
-        parts = (
-            each.values()
-            if isinstance(each, dict)
-            else each
-            if isinstance(each, (list, tuple))
-            else (each,)
-        )
-        for part in parts:
-            if callable(part):
-                yield from _defining(part, seen)
+    for part in _held(value):
+        if callable(part):
+            yield from _defining(part, seen)
 
 
 def _held(value: object) -> list[object]:
-    if isinstance(value, (ModuleType, type)):
-        return []
     if isinstance(value, FunctionType):
-        cells = [cell.cell_contents for cell in value.__closure__ or () if _is_filled(cell)]
-        return [*cells, value.__defaults__, value.__kwdefaults__, inspect.unwrap(value)]
-    if isinstance(value, MethodType):
-        return [value.__func__, value.__self__]
-    if isinstance(value, functools.partial):
-        return [value.func, value.args, value.keywords]
-    return [type(value), *getattr(value, "__dict__", {}).values()] if callable(value) else []
+        held = [cell.cell_contents for cell in value.__closure__ or () if _is_filled(cell)]
+        held += [value.__defaults__, value.__kwdefaults__, inspect.unwrap(value)]
+    elif isinstance(value, MethodType):
+        held = [value.__func__, value.__self__]
+    elif isinstance(value, functools.partial):
+        held = [value.func, value.args, value.keywords]
+    elif callable(value) and not isinstance(value, (ModuleType, type)):
+        held = [type(value), *getattr(value, "__dict__", {}).values()]
+    else:
+        return []
+    parts: list[object] = []
+    for each in held:
+        if isinstance(each, dict):
+            parts += each.values()
+        elif isinstance(each, (list, tuple)):
+            parts += each
+        else:
+            parts.append(each)
+    return parts
 
 
 def _is_filled(cell: object) -> bool:
@@ -224,44 +231,41 @@ def _is_filled(cell: object) -> bool:
 
 
 def _of_module(name: str) -> Iterator[_Source]:
-    parts = name.split(".")  # the code of the packages around a module runs when it is imported
-    for count in range(1, len(parts) + 1):
-        file = _file_of(".".join(parts[:count]))
+    # The code of the packages around a module runs when it is imported.
+    for part in accumulate(name.split("."), "{}.{}".format):
+        file = _file_of(part)
         if file is not None:
-            yield _Source(".".join(parts[:count]), file)
+            yield _Source(part, file)
 
 
 def _file_of(name: str) -> Path | None:
     # Nothing is imported here.
+    file = None
     module = sys.modules.get(name)
     if module is not None:
         file = getattr(module, "__file__", None)
-        return None if file is None else Path(file)
-    package, _, _ = name.rpartition(".")
-    try:
-        if not package:
-            # by all finders, including those of editable installs
-            spec = importlib.util.find_spec(name)
-        else:
-            holder = sys.modules.get(package)
-            spec = PathFinder.find_spec(
-                name, getattr(holder, "__path__", None) or _folders_of(package)
-            )
-    except (ImportError, ValueError):
+    else:
+        with suppress(ImportError, ValueError):
+            spec = _spec_of(name)
+            if spec is not None and spec.has_location:
+                file = spec.origin
+    if file is None:
         return None
-    return (
-        None if spec is None or not spec.has_location or spec.origin is None else Path(spec.origin)
-    )
+    return Path(file)
 
 
-def _folders_of(package: str) -> list[str]:
-    parent, _, _ = package.rpartition(".")
-    spec = (
-        PathFinder.find_spec(package, _folders_of(parent))
-        if parent
-        else importlib.util.find_spec(package)
-    )
-    return [] if spec is None else list(spec.submodule_search_locations or [])
+def _spec_of(name: str) -> ModuleSpec | None:
+    package, _, _ = name.rpartition(".")
+    if not package:
+        # by all finders, including those of editable installs
+        return importlib.util.find_spec(name)
+    folders = getattr(sys.modules.get(package), "__path__", None)
+    if not folders:
+        holder = _spec_of(package)
+        folders = []
+        if holder is not None:
+            folders = holder.submodule_search_locations or []
+    return PathFinder.find_spec(name, folders)
 
 
 def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
@@ -272,7 +276,9 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
     # the file was broken after its import; its hash has changed in any case
     except (SyntaxError, ValueError):
         return
-    package = source.name if source.file.stem == "__init__" else source.name.rpartition(".")[0]
+    package = source.name
+    if source.file.stem != "__init__":
+        package, _, _ = source.name.rpartition(".")
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -293,9 +299,9 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
 
 def is_users(file: Path) -> bool:
     """Return whether a file belongs to the user, not to a package such as this one."""
-    return not any(part in INSTALLED for part in file.parts) and not any(
-        map(file.is_relative_to, _library_folders())
-    )
+    if any(part in INSTALLED for part in file.parts):
+        return False
+    return not any(map(file.is_relative_to, _library_folders()))
 
 
 @functools.cache

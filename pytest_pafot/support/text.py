@@ -12,7 +12,6 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from datetime import date
-from types import MappingProxyType
 from typing import Any
 
 # The start of a command to a CI runner. Patterns are compiled when they are used, because most sessions use none.
@@ -23,15 +22,22 @@ def visible(text: str) -> str:
     """Escape unprintable characters and commands to CI runners, on one line."""
     # For example \n, \x1b, and \u202e, which reverses the text after it. A second call changes nothing.
     if not text.isprintable():
-        text = "".join(
-            each if each.isprintable() else each.encode("unicode_escape").decode() for each in text
-        )
+        text = "".join(map(_escaped, text))
     return re.sub(_COMMAND, lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
+
+
+def _escaped(character: str) -> str:
+    if character.isprintable():
+        return character
+    return character.encode("unicode_escape").decode()
 
 
 def visible_lines(text: str) -> str:
     """Escape a string as :func:`visible` does, but keep line breaks and tabs."""
-    return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
+    # The separators are kept, too, as the odd parts.
+    parts = re.split(r"([\n\t])", text)
+    parts[::2] = map(visible, parts[::2])
+    return "".join(parts)
 
 
 def ascii_text(text: str) -> str:
@@ -50,7 +56,9 @@ def safe_repr(value: Any) -> str:
 def one_line(text: str) -> str:
     """Shorten a string to one line of at most 120 characters."""
     line = " ".join(text.split())
-    return line if len(line) <= 120 else f"{line[:117]}..."
+    if len(line) <= 120:
+        return line
+    return f"{line[:117]}..."
 
 
 def quiet_json(text: str) -> str:
@@ -64,7 +72,9 @@ def day_of(text: str) -> date | None:
         day = date.fromisoformat(text)
     except ValueError:
         return None
-    return day if day.isoformat() == text else None  # rejects week dates and dates without hyphens
+    if day.isoformat() != text:  # a week date, or a date without hyphens
+        return None
+    return day
 
 
 def capitalised(text: str) -> str:
@@ -74,18 +84,23 @@ def capitalised(text: str) -> str:
 
 def plural(count: int, noun: str) -> str:
     """Return a number with its noun: ``1 run``, ``2 runs``."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+    if count != 1:
+        noun += "s"
+    return f"{count} {noun}"
 
 
 def listed(texts: Sequence[str], last: str = "and") -> str:
     """Join strings as in ``a, b and c``."""
-    return f" {last} ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
+    head = ", ".join(texts[:-1])
+    return f" {last} ".join(filter(None, [head, *texts[-1:]]))
 
 
 def suggest(name: object, known: Iterable[str]) -> str:
     """Return ``. Did you mean 'gap'?`` for a similar name, or an empty string."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
-    return f". Did you mean {near[0]!r}?" if near else ""
+    if not near:
+        return ""
+    return f". Did you mean {near[0]!r}?"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
@@ -99,9 +114,11 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     """Format rows as a Markdown table with a header. Cells may contain Markdown."""
-    lines = [columns, ["---"] * len(columns), *rows]
-    texts = ([visible(str(cell)).replace("|", r"\|") for cell in cells] for cells in lines)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in texts)
+    lines = []
+    for cells in (columns, ["---"] * len(columns), *rows):
+        texts = [visible(str(cell)).replace("|", r"\|") for cell in cells]
+        lines.append(f"| {' | '.join(texts)} |")
+    return "\n".join(lines)
 
 
 # Wrapping lines between words to the width of the terminal.
@@ -115,24 +132,29 @@ _GLUE = "\N{NO-BREAK SPACE}"
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
     """Wrap lines to a width [characters]."""
-    return [
-        part
-        for line in lines
-        for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")
-    ]
+    fitted: list[str] = []
+    for line in lines:
+        prefix = MARKER if line.startswith(MARKER) else ""
+        fitted += wrapped_to(line, width, prefix)
+    return fitted
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """Wrap a line between words, but not within ``3 m/s`` or ``NPC 1``."""
     line = visible(line.expandtabs())  # before wrapping, which would turn line breaks into spaces
+    if len(line) <= width:
+        return [line]
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
     wrapper = textwrap.TextWrapper(
-        width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False
+        width,
+        indent,
+        f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
-    if len(line) <= width:
-        return [line]
-    return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text.strip()))]
+    glued = re.sub(_GLUED, _GLUE, text.strip())
+    return [part.replace(_GLUE, " ") for part in wrapper.wrap(glued)]
 
 
 # The maximum number of differences that are described.
@@ -141,15 +163,18 @@ MAX_TOLD = 3
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
     """Describe the first differences between a file's data and the data in this session."""
-    then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
+    then = dict(_leaves(place, file))
+    now = dict(_leaves(place, session))
     differ = [
-        key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]
+        key for key in then | now if key not in then or key not in now or then[key] != now[key]
     ]
     told = [
         f"{key} is {_shown(then, key)} in the file, {_shown(now, key)} now"
         for key in differ[:MAX_TOLD]
     ]
-    return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
+    if len(differ) > MAX_TOLD:
+        told.append(f"{len(differ) - MAX_TOLD} more")
+    return told
 
 
 def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
@@ -161,7 +186,9 @@ def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _shown(leaves: Mapping[str, Any], key: str) -> str:
-    return f"{leaves[key]!r:.60}" if key in leaves else "missing"
+    if key not in leaves:
+        return "missing"
+    return f"{leaves[key]!r:.60}"
 
 
 # The length at which a string of the user is cut [characters].
@@ -170,34 +197,43 @@ MAX_TEXT = 300
 _MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
 _ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
 _LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
-_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
+_ENTITIES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
 # GitHub turns these into mentions, issues or emojis even if they are escaped, unless a zero-width space follows.
 _REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
 
 
 def plain(text: str) -> str:
     """Escape a string for Markdown, on one line."""
-    line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
-    line = "".join(_ENTITIES.get(character, character) for character in line)
-    return _REFERENCE.sub(r"\g<0>&#8203;", line)
+    line = _MARKUP.sub(r"\\\1", _one_line(text))
+    line = _ORDERED.sub(r"\1\\", line)
+    line = _LINK.sub(r"\\\1\2", line)
+    return _REFERENCE.sub(r"\g<0>&#8203;", line.translate(_ENTITIES))
 
 
 def code(text: str) -> str:
     """Format a string as code in Markdown."""
     line = _one_line(text)
-    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
-    pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
-    return f"{fence}{pad}{line or ' '}{pad}{fence}"
+    fence = "`"
+    while fence in line:
+        fence += "`"
+    if line.startswith("`") or line.endswith("`"):
+        line = f" {line} "
+    return f"{fence}{line or ' '}{fence}"
 
 
 def _one_line(text: str) -> str:
     line = " ".join(visible(text).split())
-    return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."
+    if len(line) <= MAX_TEXT:
+        return line
+    return f"{line[:MAX_TEXT]}..."
 
 
 def json_in_script(plain: str) -> str:
     """Return equivalent JSON that is safe inside a ``<script>`` element."""
-    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    line = quiet_json(plain)
+    for character in "<>&":
+        line = line.replace(character, f"\\u{ord(character):04x}")
+    return line
 
 
 def content_hash(content: str) -> str:
