@@ -29,7 +29,7 @@ from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lin
 
 if TYPE_CHECKING:
     from pytest_pafot.model.trace import Trace
-    from pytest_pafot.report.session import Event
+    from pytest_pafot.report.terminal import Event
     from pytest_pafot.searches.options import Settings
 
 

@@ -259,7 +259,7 @@ class Reporter:
         place = "" if file is None else f"{relative(file, self._config.rootpath)}:{crash.lineno}"
         lines = terminal.block_lines(
             seen,
-            self._record.command(seen, "pytest") if seen.path else "",
+            terminal.command_for(self._record, seen, "pytest") if seen.path else "",
             search=self._record.searches.get(self._record.items.get(report.nodeid, "")),
             place=place,
             text=report.longreprtext if crash is None else crash.message,
@@ -317,7 +317,9 @@ class Reporter:
                 if SAVED_MARK in report.keywords
                 else None
             )
-            record.add_failure(node_id, when, report.longreprtext, reason, saved=saved)
+            from pytest_pafot.report import terminal  # noqa: PLC0415
+
+            terminal.add_failure(record, node_id, when, report.longreprtext, reason, saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -376,7 +378,7 @@ class Reporter:
                 terminalreporter.line(line)
             if os.environ.get("GITHUB_ACTIONS") == "true":
                 page = self._config.getoption(BY_NAME["report"].key) or ""
-                for line in terminal.annotation_lines(record.red, page):
+                for line in terminal.annotation_lines(terminal.failures_of(record), page):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -388,7 +390,7 @@ class Reporter:
 
         record, event = self._record, terminal.event_of(kind, text)
         is_first = isinstance(event, Seen) and event.node_id not in record.seen
-        record.add(event, report.nodeid, more.get("view", ""))
+        terminal.add_event(record, event, report.nodeid, more.get("view", ""))
         match event:
             case Search() if not event.reason:
                 # Under pytest-xdist, no line about the collection is printed, but the user needs the seed even if the
