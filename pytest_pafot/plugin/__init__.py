@@ -138,8 +138,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if not is_marked or config.getoption("collectonly"):
         # these plugins import the simulation, which would slow down an editor that only lists tests
         return
-    from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
-    from pytest_pafot.plugin.messages import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.item import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.search_item import Checks, Execution  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     end_in_order(config)
