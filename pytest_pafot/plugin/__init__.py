@@ -76,9 +76,10 @@ def pytest_configure(config: pytest.Config) -> None:
         f"{SAVED_MARK}(saved): replay a saved scenario (set by the plugin)",
     ):
         config.addinivalue_line("markers", line)
-    config.stash[SESSION] = Session()
+    record = config.stash[SESSION] = Session()
     corpus = config.getoption(BY_NAME["corpus"].key)
-    config.stash[SESSION].options += [] if corpus is None else [flag("corpus", corpus)]
+    if corpus is not None:
+        record.options.append(flag("corpus", corpus))
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
         from pytest_pafot.plugin.distributed import KEY, Worker  # noqa: PLC0415
@@ -87,12 +88,10 @@ def pytest_configure(config: pytest.Config) -> None:
         features["worker"] = Worker()
     else:
         shared = config.stash[SHARED] = Shared()
-        if asked := config.getoption(BY_NAME["today"].key):
-            if is_ci(os.environ):  # a CI script may keep an old day for years
-                config.stash[SESSION].warnings.extend(
-                    stale_day(asked, date.fromisoformat(shared.today))
-                )
-            shared.today = asked
+        asked = config.getoption(BY_NAME["today"].key)
+        if asked and is_ci(os.environ):  # a CI script may keep an old day for years
+            record.warnings += stale_day(asked, date.fromisoformat(shared.today))
+        shared.today = asked or shared.today
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
         if cause_of(config):  # even if no marked test is left to register it
@@ -218,13 +217,12 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     def simulate(
         scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None
     ) -> Run:
-        world = pafot_world if world is None else world
         end = ""
         try:
-            run = drive_once(world, scenario, ads_factory)
+            run = drive_once(world or pafot_world, scenario, ads_factory)
         except ProcessLostError as lost:
             end = lost.advice
-        if end:
+        if end:  # outside of the handler, so that the failure has no context
             pytest.fail(end, pytrace=False)
         failure = ads_failure(run)
         # Such a run is short, and would pass most assertions that something did not happen.

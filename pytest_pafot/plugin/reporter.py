@@ -60,55 +60,42 @@ class Files:
     @pytest.hookimpl(trylast=True)  # after the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write all files, even if the session was interrupted."""
-        self._session.exit = exit_code(session)
-        target, asked = (
-            value_if_right(self._config, "report"),
-            self._config.getoption(BY_NAME["report"].key),
-        )
-        if target is not None and (self._session.seen or self._session.ended):
-            with self._session.faults(f"{flag('report', target)}: the page was not written"):
+        record = self._session
+        record.exit = exit_code(session)
+        target = value_if_right(self._config, "report")
+        asked = self._config.getoption(BY_NAME["report"].key)
+        if target is not None and (record.seen or record.ended):
+            with record.faults(f"{flag('report', target)}: the page was not written"):
                 self._write_page(target)
         elif asked and not self._is_listed:
-            problem = f"{flag('report', asked)}: the page was not written, because neither a search nor a replay ran"
-            self._session.problems.append(problem)
+            problem = "the page was not written, because neither a search nor a replay ran"
+            record.problems.append(f"{flag('report', asked)}: {problem}")
         self.write_json()
-        path, of = os.environ.get(SUMMARY), self._session
-        if (
-            not path
-            or self._is_listed
-            or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left))
-        ):
+        path = os.environ.get(SUMMARY)
+        is_empty = not (record.searches or record.seen or record.unread or record.left)
+        if not path or self._is_listed or (is_empty and not (record.warnings or record.problems)):
             return  # No modules are imported for an empty summary.
-        with of.faults(f"{SUMMARY}: the summary was not written"):
+        with record.faults(f"{SUMMARY}: the summary was not written"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path
-            text = markdown(of, page=asked or "")
+            text = markdown(record, page=asked or "")
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
-            of.problems += (
-                [f"{SUMMARY}={path}: the summary was not written: {problem}"] if problem else []
-            )
+            if problem:
+                record.problems.append(f"{SUMMARY}={path}: the summary was not written: {problem}")
 
     def _write_page(self, target: str) -> None:
         from pytest_pafot.report.page import render_page  # noqa: PLC0415
-        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
-        path = Path(os.path.normpath(self._config.invocation_params.dir / target))
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
-        problem = not_written(
-            self._config, target, path.parent, lambda: write_whole(path, page.encode())
-        )
-        lines, name = (
-            self._session.problems if problem else self._session.written,
-            flag("report", target),
-        )
-        lines.append(
-            f"{name}: the page was not written: {problem}"
-            if problem
-            else f"report: {target} ({told})"
-        )
+        problem = self._write(target, page.encode())
+        if problem:
+            name = flag("report", target)
+            self._session.problems.append(f"{name}: the page was not written: {problem}")
+        else:
+            self._session.written.append(f"report: {target} ({told})")
 
     def write_json(self) -> None:
         """Write the JSON file, except shortly after a slow write during the session."""
@@ -116,28 +103,32 @@ class Files:
         if self._json is None or (not is_over and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
-        from pytest_pafot.support.files import is_stream, write_whole  # noqa: PLC0415
+        from pytest_pafot.support.files import is_stream  # noqa: PLC0415
 
-        path = Path(os.path.normpath(self._config.invocation_params.dir / self._json))
-        if not is_over and is_stream(path):
+        if not is_over and is_stream(self._path_of(self._json)):
             return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
-        problem = not_written(
-            self._config, self._json, path.parent, lambda: write_whole(path, text)
-        )
+        problem = self._write(self._json, text)
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
         took = self._clock() - began
-        self._next = began + (REST * took if took > QUICK else 0.0)
-        if is_over:  # Report a problem only once, at the end.
-            lines, name = (
-                self._session.problems if problem else self._session.written,
-                flag("json", self._json),
-            )
-            lines.append(
-                f"{name}: the file was not written: {problem}" if problem else f"json: {self._json}"
-            )
+        if took > QUICK:
+            self._next = began + REST * took
+        if is_over and problem:  # Report it only once, at the end.
+            name = flag("json", self._json)
+            self._session.problems.append(f"{name}: the file was not written: {problem}")
+        elif is_over:
+            self._session.written.append(f"json: {self._json}")
+
+    def _path_of(self, name: str) -> Path:
+        return Path(os.path.normpath(self._config.invocation_params.dir / name))
+
+    def _write(self, name: str, content: str | bytes) -> str:
+        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
+
+        path = self._path_of(name)
+        return not_written(self._config, name, path.parent, lambda: write_whole(path, content))
 
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
@@ -243,36 +234,36 @@ class Reporter:
         from pytest_pafot.searches.events import Ending  # noqa: PLC0415
 
         # Three cases: pytest's text and the block, only the block, or no text for a search whose findings have blocks.
-        search, seen = (
-            self._record.searches.get(report.nodeid),
-            self._record.seen.get(report.nodeid),
-        )
-        option, is_whole = self._config.option, self._config.get_verbosity() > 0
+        record, option = self._record, self._config.option
+        search, seen = record.searches.get(report.nodeid), record.seen.get(report.nodeid)
+        is_whole = self._config.get_verbosity() > 0
         if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
             # pytest's mark for a failure that needs no text at the end
             report.__dict__["_pdbshown"] = True
         if seen is None or not seen.headline:
             return
         crash: Any = getattr(report.longrepr, "reprcrash", None)
-        # An exception from another process or another run has no position in the test.
-        file = None if crash is None or PACKAGE in Path(crash.path).parents else Path(crash.path)
-        place = "" if file is None else f"{relative(file, self._config.rootpath)}:{crash.lineno}"
+        place, text = "", report.longreprtext
+        if crash is not None:
+            text = crash.message
+            file = Path(crash.path)
+            # An exception from another process or another run has no position in the test.
+            if PACKAGE not in file.parents:
+                place = f"{relative(file, self._config.rootpath)}:{crash.lineno}"
+        again = terminal.command_for(record, seen, "pytest") if seen.path else ""
         lines = terminal.block_lines(
             seen,
-            terminal.command_for(self._record, seen, "pytest") if seen.path else "",
-            search=self._record.searches.get(self._record.items.get(report.nodeid, "")),
+            again,
+            search=record.searches.get(record.items.get(report.nodeid, "")),
             place=place,
-            text=report.longreprtext if crash is None else crash.message,
+            text=text,
             width=self._config.stash[SHARED].width,
             is_whole=is_whole,
         )
         longrepr: Any = report.longrepr
         traceback = getattr(longrepr, "reprtraceback", None)
-        if (
-            is_whole
-            or getattr(option, "showlocals", False)
-            or getattr(option, "tbstyle", "auto") != "auto"
-        ):
+        is_asked_for = getattr(option, "showlocals", False) or is_whole
+        if is_asked_for or getattr(option, "tbstyle", "auto") != "auto":
             report.sections.append(("pafot", "\n".join(lines)))
         elif traceback is None or not traceback.reprentries:
             report.longrepr = "\n".join(lines)
@@ -292,34 +283,25 @@ class Reporter:
         if SEARCH_MARK not in report.keywords:
             return
         if when == "call" or not report.passed:  # A passed set-up is not a result yet.
-            result = "failed" if when == "call" else "error"
-            if not report.failed:
-                result = (
-                    "passed"
-                    if not report.skipped
-                    else "xfailed"
-                    if hasattr(report, "wasxfail")
-                    else "skipped"
-                )
-            record.results[node_id] = max(
-                record.results.get(node_id, ""), result, key=RESULTS.index
-            )
+            result = "passed"
+            if report.failed:
+                result = "failed" if when == "call" else "error"
+            elif report.skipped:
+                result = "xfailed" if hasattr(report, "wasxfail") else "skipped"
+            known = record.results.get(node_id, "")
+            record.results[node_id] = max(known, result, key=RESULTS.index)
         if report.failed:
-            crash = getattr(report.longrepr, "reprcrash", None)
-            text = (
-                report.longreprtext
-                if crash is None
-                else str(crash.message).removeprefix("Failed: ")
-            )
-            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
-            saved = (
-                json.loads(getattr(report, AS_SAVED, "{}"))
-                if SAVED_MARK in report.keywords
-                else None
-            )
-            from pytest_pafot.report import terminal  # noqa: PLC0415
+            from pytest_pafot.report.terminal import add_failure  # noqa: PLC0415
 
-            terminal.add_failure(record, node_id, when, report.longreprtext, reason, saved)
+            text = report.longreprtext
+            crash = getattr(report.longrepr, "reprcrash", None)
+            if crash is not None:
+                text = str(crash.message).removeprefix("Failed: ")
+            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
+            saved = None
+            if SAVED_MARK in report.keywords:
+                saved = json.loads(getattr(report, AS_SAVED, "{}"))
+            add_failure(record, node_id, when, report.longreprtext, reason, saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -328,7 +310,8 @@ class Reporter:
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
-        if named := ", ".join(self._record.incomparable):
+        if self._record.incomparable:
+            named = ", ".join(self._record.incomparable)
             raise pytest.UsageError(
                 f"the policy cannot be compared with its reference. See {named}"
             )
@@ -342,7 +325,9 @@ class Reporter:
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         shown = dict(report.user_properties).get("pafot")
-        return ("passed", ".", f"PASSED ({shown})") if shown is not None and report.passed else None
+        if shown is None or not report.passed:
+            return None
+        return "passed", ".", f"PASSED ({shown})"
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -359,15 +344,8 @@ class Reporter:
         """Write the plugin's section of the summary."""
         own, record = Session(), self._record
         record.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
-        said = (
-            record.unnamed,
-            record.left,
-            record.notes,
-            record.warnings,
-            record.problems,
-            record.written,
-        )
-        if not any((record.is_driven, *said)):
+        has_remarks = record.notes or record.warnings or record.problems
+        if not (record.is_driven or record.unnamed or record.left or record.written or has_remarks):
             return
         with own.faults("pafot: the summary was not printed"):
             from pytest_pafot.report import terminal  # noqa: PLC0415
@@ -389,19 +367,16 @@ class Reporter:
         from pytest_pafot.searches.events import Progress, Search  # noqa: PLC0415
 
         record, event = self._record, terminal.event_of(kind, text)
-        is_first = isinstance(event, Seen) and event.node_id not in record.seen
+        is_known = isinstance(event, Seen) and event.node_id in record.seen
         terminal.add_event(record, event, report.nodeid, more.get("view", ""))
         match event:
             case Search() if not event.reason:
                 # Under pytest-xdist, no line about the collection is printed, but the user needs the seed even if the
                 # session ends early.
-                if (
-                    self._live.is_parallel
-                    and len(record.searches) == 1
-                    and self._config.get_verbosity() >= 0
-                ):
-                    base = base_line(self._config)
-                    self._live.write([f"pafot: {base}"] if base else [])
+                is_first = len(record.searches) == 1 and self._config.get_verbosity() >= 0
+                base = base_line(self._config)
+                if self._live.is_parallel and is_first and base:
+                    self._live.write([f"pafot: {base}"])
             case Search():
                 self._files.write_json()
             case Progress():
@@ -414,7 +389,7 @@ class Reporter:
                     pending = self._pending.setdefault(report.nodeid, {})
                     pending[event.node_id] = more["report"], getattr(report, "node", None)
                 self._live.erase_progress()
-                if is_first and self._config.get_verbosity() >= 0:
+                if not is_known and self._config.get_verbosity() >= 0:
                     self._live.write([terminal.found_line(event)])
             case Seen() if event.observed.new == "no worse":
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
