@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -70,30 +70,31 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     for place, why in unlisted.items():
         sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
-    added = added_in(arguments.folders)
-    sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns))
+    lines = list(_lines(saved, added_in(arguments.folders), shutil.get_terminal_size().columns))
     if not saved:
         lines = ["no saved scenarios were found"]
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
 
 
-def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -> Iterator[str]:
+def _lines(saved: Iterable[Saved], added: Mapping[Path, Since], width: int) -> Iterator[str]:
     # A row for each saved scenario, and below it the failure, or the reason why the file cannot be read.
     rows, texts = [COLUMNS], [""]
-    for each, since in zip(saved, sinces, strict=True):
+    for each in saved:
         finding = each.finding
         test, about = "", each.error
         if finding is not None:
             test, about = finding.test.partition("::")[2], finding.expect.brief
             if finding.xfail is not None:
                 about += f"; accepted: {finding.accepted}"
-        rows.append((ascii_text(each.id), ascii_text(test), " ".join(since or ())))
+        folder = os.path.realpath(each.path.parent)
+        since = added.get(Path(folder, each.path.name), ())
+        rows.append((ascii_text(each.id), ascii_text(test), " ".join(since)))
         texts.append(ascii_text(about))
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     for row, text in zip(rows, texts, strict=True):
-        yield "  ".join(f"{cell:{room}}" for cell, room in zip(row, widths, strict=True)).rstrip()
+        cells = [f"{cell:{room}}" for cell, room in zip(row, widths, strict=True)]
+        yield "  ".join(cells).rstrip()
         if text:
             yield from wrapped_to(f"    {text}", width)
 

@@ -93,10 +93,13 @@ def compare_rates(first: Rate, others: Sequence[Rate]) -> list[str]:
     """Compare a policy with each of the others by McNemar's test, on the seeds that both completed."""
     counts = []
     for other in others:
-        seeds = {each.seed for each in first.episodes} & {each.seed for each in other.episodes}
+        seeds = {each.seed for each in first.episodes}
+        seeds &= {each.seed for each in other.episodes}
         seeds -= first.failed.keys() | other.failed.keys()
-        one, two = seeds & {*first.crashed}, seeds & {*other.crashed}
-        counts.append((len(one - two), len(two - one), len(one & two), len(seeds - one - two)))
+        one = seeds.intersection(first.crashed)
+        two = seeds.intersection(other.crashed)
+        kinds = (one - two, two - one, one & two, seeds - one - two)
+        counts.append([len(kind) for kind in kinds])
     test = "McNemar, exact, two-sided"
     if len(others) > 1:  # Holm's method adjusts the p-values of several comparisons.
         test += f", Holm for {len(others)}"
@@ -141,7 +144,8 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
     episodes = [drive_episode(world, factory, seed, is_planner=is_planner) for seed in seeds]
     errors = [each.error for each in episodes if each.error]
     if first == given.seed and len(errors) == CHUNK:
-        place = "".join(errors[0].traceback.rpartition("  File ")[1:]).rstrip()
+        _, start, frame = errors[0].traceback.rpartition("  File ")
+        place = (start + frame).rstrip()
         way_out = "Correct the policy, its factory or environment"
         if not is_planner:
             way_out += ", or append @planner to its name if it is a planner"

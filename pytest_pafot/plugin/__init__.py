@@ -9,7 +9,6 @@ import os
 import sys
 import warnings
 from collections.abc import Generator, Mapping
-from datetime import date
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
@@ -90,7 +89,7 @@ def pytest_configure(config: pytest.Config) -> None:
         shared = config.stash[SHARED] = Shared()
         asked = config.getoption(BY_NAME["today"].key)
         if asked and is_ci(os.environ):  # a CI script may keep an old day for years
-            record.warnings += stale_day(asked, date.fromisoformat(shared.today))
+            record.warnings += stale_day(asked, shared.day)
         shared.today = asked or shared.today
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
@@ -103,7 +102,8 @@ def pytest_configure(config: pytest.Config) -> None:
         features["header"] = Header()
     _register(config, features)
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
-    if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
+    values = [config.getoption(option.key) for option in OPTIONS]
+    if is_parallel or any(value is not None for value in values):
         _report(config)
     # last, so that it merges the data of ended workers before the reports are written
     if is_parallel:

@@ -10,7 +10,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from datetime import date
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
@@ -211,7 +210,8 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
         if not any(each in (module, *module.parents) for each in others)
     ]
     if given:
-        config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]
+        rest = [arg for arg in config.args if arg not in given]
+        config.args[:] = [*rest, *map(str, added)]
     return set(files), set(added)
 
 
@@ -335,7 +335,7 @@ class Collection:
             return False
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
-        if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
+        if saved.is_accepted(self._config.stash[SHARED].day):
             from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
 
             accepted = pytest.mark.xfail(strict=True, reason=visible(saved.xfail or ""))
@@ -357,8 +357,8 @@ class Collection:
             lasting = self._config.cache.get("cache/lastfailed", {})
             failed = [item for item in items if item.nodeid in lasting]
             known = {base_id(item) for item in failed if saved_of(item) is not None}
-            again = {item for item in failed if is_search(item) and base_id(item) in known}
-            self._deselect(items, again)
+            searches = {item for item in failed if is_search(item)}
+            self._deselect(items, {item for item in searches if base_id(item) in known})
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
         # pytest-testmon also passes the names of tests.
@@ -433,7 +433,8 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
     # Decorators wrap functions, so follow __wrapped__ to the function that was marked.
     run: set[int] = set()
     for item in items:
-        run |= {id(each) for each in getattr(getattr(item, "cls", None), "__mro__", ())}
+        cls = getattr(item, "cls", None)
+        run.update(map(id, getattr(cls, "__mro__", ())))
         function = getattr(item, "function", None)
         while function is not None:
             run.add(id(function))
@@ -450,8 +451,8 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
             owner = getattr(module, name.partition(".")[0], None)
             # A class with subclasses is probably a base class, and __test__ = False excludes a class on purpose.
             is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
-            is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
-            if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
+            is_on = getattr(each, "__test__", True) and getattr(owner, "__test__", True)
+            if id(each) not in run and "<locals>" not in name and is_on and not is_base:
                 yield f"{layout.relative(file, config.rootpath)}::{name.replace('.', '::')}"
 
 

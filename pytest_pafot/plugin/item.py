@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, MutableSequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import date
 from functools import partial
 from itertools import takewhile
 from os import getpid
@@ -155,7 +154,8 @@ class OfOneRun:
         shown = [] if run is None else self._recorded.get(run.trace, [])
         # by identity, because a fixture may have recorded an equal one before
         ours = set(map(id, self._shown))
-        changed[:] = [*(each for each in changed if id(each) not in ours), *shown]
+        others = [each for each in changed if id(each) not in ours]
+        changed[:] = [*others, *shown]
         if properties is None:
             self._shown = shown
 
@@ -300,9 +300,9 @@ def _shortened(begin: str, end: str, left_out: int) -> str:
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
     """Count an item as failed if its failure differs from the accepted one."""
-    is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
     # The mark xfail would also accept an error in a fixture or in the factory.
     is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash
+    is_accepted = saved.is_accepted(item.config.stash[SHARED].day)
     if is_accepted and is_other and hasattr(report, "wasxfail"):
         report.outcome = "failed"
         del report.wasxfail
@@ -348,11 +348,6 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
 """The workers for ``--pafot-dask``, or the error from a failed connection."""
 
-IN_WORKER = (
-    f"{flag('workers')} is 1 under pytest-xdist, which already runs tests in several processes"
-)
-
-
 OF_SUITE = "record_testsuite_property"
 """The name of the fixture that records properties of the session."""
 
@@ -387,7 +382,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     # Otherwise, the number of processes would be the product of both numbers of workers.
     if settings.workers > 1 and is_worker(item.config):
-        send(item, Note(IN_WORKER))
+        why = "which already runs tests in several processes"
+        send(item, Note(f"{flag('workers')} is 1 under pytest-xdist, {why}"))
         request = replace(request, settings=replace(settings, workers=1))
     factory = request.ads
     if isinstance(factory, str):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import date
 from typing import Any
 
 import pytest
@@ -51,7 +50,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request, writes=False)
-    replays = Replays(harness=harness, today=date.fromisoformat(item.config.stash[SHARED].today))
+    replays = Replays(harness=harness, today=item.config.stash[SHARED].day)
     watch_again(item, is_elsewhere=replays.is_apart(saved, item.nodeid))
     if request.settings.debug:
         stop_in_replay(item, replays, saved)

@@ -44,10 +44,9 @@ QUICK, REST = 0.1, 10
 class Files:
     """The writer of the JSON file, the page and the job summary."""
 
-    def __init__(self, config: pytest.Config, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._session = config.stash[SESSION]
-        self._clock = clock
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._is_listed = config.getoption("collectonly", False)
         self._json: str | None = None if self._is_listed else config.getoption(BY_NAME["json"].key)
@@ -99,7 +98,7 @@ class Files:
 
     def write_json(self) -> None:
         """Write the JSON file, except shortly after a slow write during the session."""
-        began, is_over = self._clock(), self._session.exit is not None
+        began, is_over = monotonic(), self._session.exit is not None
         if self._json is None or (not is_over and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
@@ -112,7 +111,7 @@ class Files:
         problem = self._write(self._json, text)
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
-        took = self._clock() - began
+        took = monotonic() - began
         if took > QUICK:
             self._next = began + REST * took
         if is_over and problem:  # Report it only once, at the end.

@@ -11,7 +11,6 @@ import traceback
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import date
 from typing import Any
 
 import pytest
@@ -376,10 +375,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
     """Run a search, and fail the item if there is a new finding or the search tested too little."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
-    today = date.fromisoformat(shared.today)
     limit = math.inf if settings.max_time is None else monotonic() + settings.max_time
     harness = harness_of(item, request)
-    replays = Replays(harness=harness, today=today)
+    replays = Replays(harness=harness, today=shared.day)
     # If this policy has killed a process before, it runs in separate processes, which it may kill.
     chosen = isolated_after_a_death(harness, replays)
     now = chosen.request.settings

@@ -139,6 +139,11 @@ class Shared:
         self.frozen: frozenset[str] | None = None
         vars(self).update(chosen)
 
+    @property
+    def day(self) -> date:
+        """The value of ``today`` as a date."""
+        return date.fromisoformat(self.today)
+
 
 class Inventory(NamedTuple):
     """The collected items and files, as strings that pytest-xdist can send."""

@@ -354,9 +354,7 @@ def _shown(seen: Seen, session: Session) -> Shown:
 def data_json(findings: Iterable[Shown]) -> str:
     """Return the data for the page's scripts, as JSON that is safe inside a ``<script>`` element."""
     data = [{name: each.view[name] for name in DRAWN} for each in findings]
-    return json_in_script(
-        json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    )
+    return json_in_script(json.dumps(data, allow_nan=False, separators=(",", ":")))
 
 
 def _nothing_found(searches: Iterable[Search], failures: Sequence[str], code: int | None) -> str:

@@ -74,8 +74,9 @@ DRAWS_IN_WRAPPERS = (
 
 def event_of(kind: str, text: str) -> Event:
     """Build an event from the name of its class and its JSON."""
-    kinds: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
-    return from_plain(kinds[kind], json.loads(text))
+    kinds: tuple[type[Event], ...] = (Progress, Search, Seen, Note)
+    cls = next(each for each in kinds if each.__name__ == kind)
+    return from_plain(cls, json.loads(text))
 
 
 def add_event(session: Session, event: Event, item: str = "", view: str = "") -> None:
@@ -434,9 +435,9 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
         if search.reason:
             early += f", because {WHY[search.reason]}"
         texts.append(early)
-    folders = " and ".join(dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path))  # noqa: PTH120
+    folders = [os.path.dirname(each.path) for each in finds if each.path]  # noqa: PTH120
     if folders:
-        texts.append(f"Saved in {folders}")
+        texts.append(f"Saved in {' and '.join(dict.fromkeys(folders))}")
         # The command `search` prints its own advice.
         if not os.environ.get(OF_SEARCH):
             texts[-1] += ". Commit the files"

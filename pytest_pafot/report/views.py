@@ -90,10 +90,12 @@ def places(style: DrivingStyle) -> tuple[Place, Place]:
 
 def _shape(lane: Lane, reach: float) -> View:
     # The lane up to this distance [m] from its start.
-    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    points = np.array(lane.points or [(lane.x, lane.y), end])
-    count = int(np.searchsorted(_lengths(points), reach)) + 1
-    line = [(round(float(x), 2), round(float(y), 2)) for x, y in points[: max(count, 2)]]
+    end_x = lane.x + lane.length * np.cos(lane.heading)
+    end_y = lane.y + lane.length * np.sin(lane.heading)
+    points = np.array(lane.points or [(lane.x, lane.y), (end_x, end_y)])
+    # A line needs two points.
+    count = max(int(np.searchsorted(_lengths(points), reach)) + 1, 2)
+    line = [(round(x, 2), round(y, 2)) for x, y in points[:count].tolist()]
     return {"points": line, "width": float(lane.width)}
 
 
@@ -147,14 +149,13 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
     digits = max(4, 4 - math.floor(math.log10(high - low)))
     broken = []
     for first, end in stretches(excess > 0):
-        broken.append((round(first / hz, 3), round((end - 1) / hz, 3)))
+        last = end - 1
+        broken.append((round(first / hz, 3), round(last / hz, 3)))
     if broken:
         view["begin"] = broken[0][0]
+    shown = np.clip(worst, low, high).tolist()
     return view | {
-        "values": [
-            None if np.isnan(each) else round(float(each), digits)
-            for each in np.clip(worst, low, high)
-        ],
+        "values": [None if math.isnan(each) else round(each, digits) for each in shown],
         "low": low,
         "high": high,
         "is_cut": (bool((values < low).any()), bool((values > high).any())),
@@ -256,7 +257,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         written = str(check)
         check = _with_curve(check, trace)
         tick = check_tick(trace, check)
-        if tick is not None:
+        if tick is not None:  # a frame shows the worst value
             ticks = sorted({*ticks, tick})
         view["check"] = check_view(check, trace, ticks)
         short = _check_in_short(check, view["check"])
@@ -365,7 +366,8 @@ def _moment(sighting: Seen) -> list[Paragraph]:
             listed.append("it evaluated these conditions, with these values:")
         return [("The moment", _prose(listed), moment.conditions)]
     if raised:
-        return [("The traceback", "", (("", tuple(raised.splitlines()[1:])),))]
+        lines = tuple(raised.splitlines()[1:])
+        return [("The traceback", "", (("", lines),))]
     return []
 
 
@@ -418,7 +420,9 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> list[View]:
     along, across = trace.road.drawn(states[:, :, X], states[:, :, Y])
     heading = trace.road.drawn_headings[ticks]
     encounters = Encounters(trace)
-    gaps, times, advantages = gap(trace)[ticks], ttc(trace)[ticks], time_advantage(trace)[ticks]
+    gaps = gap(trace)[ticks]
+    times = ttc(trace)[ticks]
+    advantages = time_advantage(trace)[ticks]
     passed = passages(trace)
     views = []
     for vehicle in range(trace.states.shape[1]):
@@ -486,11 +490,17 @@ def zone_view(zone: Zone, length: float, width: float) -> View:
     # zone by the length of the NPC.
     line = np.array(zone.line)
     along = _lengths(line)
-    first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
+    first = zone.npc[0] + length / 2
+    last = zone.npc[1] - length / 2
     count = max(round(last - first), 1) + 1
     places = np.linspace(first, max(last, first), count)
     area = np.stack([np.interp(places, along, column) for column in line.T], axis=-1)
-    return {"name": zone.way, "way": _points(line), "area": _points(area), "width": float(width)}
+    return {
+        "name": zone.way,
+        "way": _points(line),
+        "area": _points(area),
+        "width": float(width),
+    }
 
 
 def _points(line: FloatArray) -> list[tuple[float, float]]:
