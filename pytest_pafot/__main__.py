@@ -181,7 +181,9 @@ def main(arguments: list[str] | None = None) -> int:
     """
     from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 
-    given = sys.argv[1:] if arguments is None else arguments
+    given = sys.argv[1:]
+    if arguments is not None:
+        given = arguments
     try:
         with interrupted_by_signals(_note):
             return _run(given)

@@ -49,9 +49,10 @@ class Rate:
         """The reasons why episodes were not completed, by the episodes' seeds."""
         reasons = {}
         for each in self.episodes:
-            why = each.error.text if each.error else each.undriven
-            if why:
-                reasons[each.seed] = why
+            if each.error:
+                reasons[each.seed] = each.error.text
+            elif each.undriven:
+                reasons[each.seed] = each.undriven
         return reasons
 
     @property
@@ -258,9 +259,11 @@ def _limit_of(given: argparse.Namespace) -> float | None:
     # Parse a proportion such as `2%` or `0.02`. With too few episodes, no crash rate is significantly above it.
     number, sign, rest = given.fail_above.strip().partition("%")
     try:
-        share = float(number) / (100 if sign else 1)
+        share = float(number)
     except ValueError:
         share = math.nan
+    if sign:
+        share /= 100
     if rest or not 0 <= share < 1:  # a rate is never above 1
         raise RequestError(
             f"--fail-above: expected at least 0 and less than 1, such as 2% or 0.02, received {given.fail_above!r}"

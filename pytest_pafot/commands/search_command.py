@@ -157,7 +157,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         words = []
         for name in ("ads", "world", "config", "check"):
             value = getattr(arguments, name)
-            words += [f"--{name}", value] if value else []
+            if value:
+                words += [f"--{name}", value]
         environ[OF_REPLAY] = shlex.join(words)
     code = code_of_session({TEST: test}, [*options, *arguments.options, *arguments.pytest], environ)
     if code == TESTS_FAILED and not has_test and files_below(corpus / Path(TEST).stem):

@@ -132,8 +132,9 @@ def saved_part(id_: str) -> str:
 
 def base_name(item: pytest.Item) -> str:
     """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
-    mark = item.get_closest_marker(SAVED_MARK)
-    part = layout.SEARCH_PART if mark is None else saved_part(mark.args[0].id)
+    part, mark = layout.SEARCH_PART, item.get_closest_marker(SAVED_MARK)
+    if mark is not None:
+        part = saved_part(mark.args[0].id)
     name = layout.name_without(part, item.name)
     # All repetitions of a test have the same saved scenarios, so their numbers are not part of the base name.
     for part in re.findall(rf"(?<=[\[-]){REPEAT}\d+(?=[\]-])", name):
@@ -193,7 +194,9 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
     given: dict[str, list[Path]] = {}
     others = []
     for arg in config.args:
-        paths = layout.files_below(path_of(config, arg)) if _is_in_corpus(config, arg) else []
+        paths = []
+        if _is_in_corpus(config, arg):
+            paths = layout.files_below(path_of(config, arg))
         if arg.endswith(layout.SUFFIX):
             paths = paths or [config.invocation_params.dir / arg]
         if paths:
@@ -227,9 +230,10 @@ class Collection:
             # pytest has replaced it with the arguments in that file
             is_listed = any(arg.startswith("@") for arg in call)
             given = [arg for arg in config.args if is_listed or arg in call]
-        elif config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:
+        is_here = config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR
+        if is_here and here != config.rootpath:
             # pytest collects only the folder in which it was called
-            given = [str(here)] if here != config.rootpath else []
+            given = [str(here)]
         config.stash[GIVEN] = given
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
@@ -420,7 +424,7 @@ def saved_of(item: pytest.Item) -> Saved | None:
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
     """Return whether the user has parametrised a test function with an argument."""
     for mark in metafunc.definition.iter_markers("parametrize"):
-        names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
+        names, *_ = *mark.args, mark.kwargs.get("argnames", ())
         if isinstance(names, str):
             names = [name.strip() for name in names.split(",")]
         if arg in names:
@@ -472,11 +476,12 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
             f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist"
         )
     corpus = value_if_right(config, "corpus")
-    module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
+    module, where = None, "its folder is not in a corpus"
+    if corpus is not None:
+        module = layout.module_of_file(file, corpus, config.rootpath)
+    if module is not None:
+        where = f"{module} does not exist"
     if module is None or not module.is_file():
-        where = "its folder is not in a corpus"
-        if module is not None:
-            where = f"{module} does not exist"
         problem = f"{file}: expected a saved scenario of a test file, but {where}"
         again = command("pytest_pafot", "replay", "FILE", "--ads", "module:Class")
         fix = f"Move the folder to the corpus of the test, or replay the file without a test: `{again}`"

@@ -151,7 +151,9 @@ class OfOneRun:
         ``properties`` is the list to change, by default the item's.
         """
         changed = self.properties if properties is None else properties
-        shown = [] if run is None else self._recorded.get(run.trace, [])
+        shown: list[tuple[str, Any]] = []
+        if run is not None:
+            shown = self._recorded.get(run.trace, [])
         # by identity, because a fixture may have recorded an equal one before
         ours = set(map(id, self._shown))
         others = [each for each in changed if id(each) not in ours]

@@ -49,7 +49,9 @@ class Files:
         self._session = config.stash[SESSION]
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._is_listed = config.getoption("collectonly", False)
-        self._json: str | None = None if self._is_listed else config.getoption(BY_NAME["json"].key)
+        self._json: str | None = None
+        if not self._is_listed:
+            self._json = config.getoption(BY_NAME["json"].key)
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -151,7 +153,9 @@ class LiveTerminal:
             return False
         # an attribute in earlier versions of pytest, a method in later versions
         is_terminal = self.writer.isatty
-        return bool(is_terminal() if callable(is_terminal) else is_terminal)
+        if callable(is_terminal):
+            is_terminal = is_terminal()
+        return bool(is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
         """Write the progress line that ``line`` returns for a width in columns."""
@@ -249,7 +253,9 @@ class Reporter:
             # An exception from another process or another run has no position in the test.
             if PACKAGE not in file.parents:
                 place = f"{relative(file, self._config.rootpath)}:{crash.lineno}"
-        again = terminal.command_for(record, seen, "pytest") if seen.path else ""
+        again = ""
+        if seen.path:
+            again = terminal.command_for(record, seen, "pytest")
         lines = terminal.block_lines(
             seen,
             again,

@@ -225,10 +225,10 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     given = {"ads": DEFAULT_ADS, **arguments}
     positional = given.pop(POSITIONAL, ())
     if positional:
-        name = getattr(positional[0], "__name__", "")
         example = "runs=20"
         if callable(positional[0]):
-            example = f"ads={name if name.isidentifier() else '...'}"
+            name = getattr(positional[0], "__name__", "")
+            example = f"ads={name}" if name.isidentifier() else "ads=..."
         raise RequestError(
             f"@pafot.search: expected only keyword arguments, received {positional!r:.200}. Write the argument's name, "
             f"as in @pafot.search({example})"
@@ -375,7 +375,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
     """Run a search, and fail the item if there is a new finding or the search tested too little."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
-    limit = math.inf if settings.max_time is None else monotonic() + settings.max_time
+    limit = math.inf
+    if settings.max_time is not None:
+        limit = monotonic() + settings.max_time
     harness = harness_of(item, request)
     replays = Replays(harness=harness, today=shared.day)
     # If this policy has killed a process before, it runs in separate processes, which it may kill.

@@ -177,8 +177,10 @@ def finding_article(finding: Shown, index: int) -> str:
 def _paragraphs(paragraphs: Iterable[Sequence[Any]]) -> str:
     shown = ""
     for title, sentences, groups in paragraphs:
-        run_in = f"<b>{text(title)}.</b> " if title else ""
-        shown += f"<p>{run_in}{prose(sentences)}</p>"
+        content = prose(sentences)
+        if title:
+            content = f"<b>{text(title)}.</b> {content}"
+        shown += f"<p>{content}</p>"
         for whom, rows in groups:
             if whom:
                 shown += f"<h4>{text(whom)}</h4>"

@@ -146,8 +146,9 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
     if now.new:
         entry["runs"] = 1 + seen.alike.runs
     if finding.rate is not None:
-        again = None if now.rate is None else asdict(now.rate)
-        entry["rate"] = {**asdict(finding.rate), "of": finding.drawn, "now": again}
+        entry["rate"] = {**asdict(finding.rate), "of": finding.drawn, "now": None}
+        if now.rate is not None:
+            entry["rate"]["now"] = asdict(now.rate)
     if moment is not None:
         conditions = [{"about": whom, "evaluated": list(rows)} for whom, rows in moment.conditions]
         entry["moment"] = {**asdict(moment), "conditions": conditions}
@@ -335,8 +336,10 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     if not seen.result.startswith("passed"):
         for sentence in describe_failure(seen)[1:]:
             yield f"  <br>{plain(sentence)}"
-    missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
-    yield f"  <br>{missing}{code(command_for(session, seen, 'python', '-m', 'pytest'))}"
+    again = code(command_for(session, seen, "python", "-m", "pytest"))
+    if not seen.path:
+        again = f"not saved: {plain(seen.detail)}; {again}"
+    yield f"  <br>{again}"
 
 
 def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:

@@ -232,7 +232,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
             "clearance": float(clearance),
             "shapes": (),
         },
-        "instructions": _instructions(None if run is None else run.trace, finding.scenario),
+        "instructions": [],
         "decisions": (),
         "ghost": None,
         "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
@@ -245,6 +245,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "yaml": text_of(finding),
     }
     if run is None:
+        view["instructions"] = _instructions(None, finding.scenario)
         lines = [] if check is None else [""]
         return view | _in_words(headline, lines, "", finding)
     trace = run.trace
@@ -276,9 +277,13 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
     if run.ads_error is not None and headline.startswith(run.ads_error.kind):
         who = "policy" if run.ads_error.is_of_ads else "environment"
         headline = f"The {who} failed after {run.event_time:.1f} s: {headline}"
+    side = ""
+    if run.collision is not None:
+        side = run.collision.side
     return view | {
         **_in_words(headline or first, lines, collision, finding),
         "sentences": sentences,
+        "instructions": _instructions(trace, trace.scenario),
         "road": road_view(trace, float(clearance)),
         "vehicles": _vehicles(trace, ticks),
         "times": [round(tick / trace.physics_hz, 3) for tick in ticks],
@@ -288,7 +293,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
             "kind": str(run.outcome),
             "time": round(min(run.event_time, run.duration), 3),
             "npc": run.event_npc,
-            "side": "" if run.collision is None else run.collision.side,
+            "side": side,
         },
     }
 
@@ -510,15 +515,14 @@ def _points(line: FloatArray) -> list[tuple[float, float]]:
 def _instructions(trace: Trace | None, scenario: Scenario) -> list[View]:
     # The instructions as executed, if there is a run. The repair may have changed a cell, so both `requested` and
     # `cell` are stored.
-    wanted = scenario if trace is None else trace.scenario
     views: list[View] = []
-    for npc, chain in enumerate(wanted.npcs):
+    for npc, chain in enumerate(scenario.npcs):
         followed = chain if trace is None else trace.chains[npc]
         for gene, (requested, executed) in enumerate(zip(chain, followed, strict=False)):
-            end = (gene + 1) * wanted.gene_seconds
+            end = (gene + 1) * scenario.gene_seconds
             view: View = {
                 "npc": npc,
-                "start": round(gene * wanted.gene_seconds, 3),
+                "start": round(gene * scenario.gene_seconds, 3),
                 "end": round(end, 3),
                 "speed": executed.speed,
                 "started": False,
@@ -541,7 +545,9 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> list[View]:
             if tick is not None:
                 view["arrived"] = round(tick / trace.physics_hz, 3)
             zone = trace.zones[npc] if trace.zones else None
-            whence = "" if zone is None else zone.whence
+            whence = ""
+            if zone is not None:
+                whence = zone.whence
             view |= executed.shown(requested, lanes_apart(trace, npc, gene), whence)
     return views
 
