@@ -244,7 +244,8 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
             lines.append(f"  {hint}")
     lines += compare_rates(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
-    sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width)))
+    for line in lines:
+        sys.stdout.writelines(f"{part}\n" for part in wrapped_to(line, width))
     if interrupt is not None:
         sys.stdout.flush()
         raise interrupt

@@ -135,7 +135,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search or, with ``--write-test``, write its test. Return the exit code."""
     name, test = written_test(arguments, "ADS")
     here = Path.cwd()
-    kept, found = (here / root / Path(TEST).stem / safe_name(name) for root in (CORPUS, FOUND))
+    folder = Path(Path(TEST).stem, safe_name(name))
+    kept = here / CORPUS / folder
+    found = here / FOUND / folder
     link = link_below(here, kept) or link_below(here, found)
     if arguments.corpus is None and link is not None:
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")

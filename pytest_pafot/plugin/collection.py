@@ -71,8 +71,9 @@ def _may_be_decorated(target: object) -> bool:
     if inspect.isclass(target):
         # if not imported, there is no vehicle class
         kinematics = sys.modules.get("highway_env.vehicle.kinematics")
-        is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
-        return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
+        if kinematics is not None and issubclass(target, kinematics.Vehicle):
+            return False
+        return not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
         return False
     return target.__name__.startswith("test") or RUN in inspect.signature(target).parameters
@@ -238,7 +239,8 @@ class Collection:
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
-        self._inventory = config.stash[INVENTORY] = Inventory(set(), set(), set(), set())
+        self._inventory = Inventory(set(), set(), set(), set())
+        config.stash[INVENTORY] = self._inventory
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore all files in a corpus, even those named like test files."""
@@ -259,8 +261,8 @@ class Collection:
 
     @cached_property
     def _asked_for(self) -> set[Path]:
-        given = (path_of(self._config, arg) for arg in self._config.args)
-        folders = [self._rootpath, *(path for path in given if path.is_dir())]
+        given = [path_of(self._config, arg) for arg in self._config.args]
+        folders = [self._rootpath, *filter(Path.is_dir, given)]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -309,7 +311,8 @@ class Collection:
 
                 read = saved_in(folder) if link is None else refused_in(folder, link)
                 self._saved[folder] = {saved.path.name: saved for saved in read}
-            found |= {saved.id: saved for saved in self._saved[folder].values()}
+            for saved in self._saved[folder].values():
+                found[saved.id] = saved
         return found.values()
 
     @pytest.hookimpl(wrapper=True)
@@ -332,7 +335,8 @@ class Collection:
             return True
         saved = None
         if folder is not None:
-            saved = self._saved.get(folder, {}).get(mark.args[0].path.name)
+            known = self._saved.get(folder, {})
+            saved = known.get(mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         # a new file is dropped, since pytest-xdist ends a session whose workers differ in their items
         if saved is None or (frozen is not None and item.nodeid not in frozen):
@@ -357,8 +361,9 @@ class Collection:
         self._deselect(items, {item for item in items if self._is_beside_given(item)})
         yield
         # Under --lf, a search need not run again if its findings have become items in the meantime.
-        if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
-            lasting = self._config.cache.get("cache/lastfailed", {})
+        cache = getattr(self._config, "cache", None)
+        if self._config.getoption("lf", False) and cache is not None:
+            lasting = cache.get("cache/lastfailed", {})
             failed = [item for item in items if item.nodeid in lasting]
             known = {base_id(item) for item in failed if saved_of(item) is not None}
             searches = {item for item in failed if is_search(item)}
@@ -401,8 +406,11 @@ class Collection:
             parts.append(
                 "with python -O, Python skips assertions in modules that pytest does not rewrite"
             )
+        lines = ["; ".join(filter(None, parts))]
         cost = cost_line(self._config, [arguments_of(item) or {} for item in searches])
-        return list(filter(None, ["; ".join(filter(None, parts)), cost]))
+        if cost:
+            lines.append(cost)
+        return lines
 
 
 def is_search(item: pytest.Item) -> bool:

@@ -195,8 +195,10 @@ class Guard:
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
-        # reported later
-        known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}
+        known = set(self._run)
+        for seen in self._session.seen.values():
+            if seen.observed.new:  # It is reported later.
+                known.add(seen.path)
         if any(map(_BY_NAME.match, call_of(self._config))):
             known |= inventory.deselected
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
@@ -216,9 +218,8 @@ class Guard:
         }
         # Third, drop copies of scenarios that were run, and files that belong to other projects.
         names = {name_within(file.name) or file.name for file in left}
-        copies = {
-            (Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names
-        }
+        run = [top / each for each in known if Path(each).name in names]
+        copies = {(file.name, _named_test(file)) for file in run}
         for file, is_inside in left.items():
             test = _named_test(file)
             name = test.partition("::")[0]
@@ -239,11 +240,8 @@ class Guard:
             # their own.
             project = next((each for each in owner.parents if name and each / name == owner), top)
             is_asked_for = any(each.is_relative_to(project) for each in (*own, *asked))
-            if (
-                project == top
-                or is_asked_for
-                or not any(os.path.lexists(project / each) for each in _CONFIGURED)
-            ):
+            is_foreign = any(os.path.lexists(project / each) for each in _CONFIGURED)
+            if project == top or is_asked_for or not is_foreign:
                 yield file, owner
 
 

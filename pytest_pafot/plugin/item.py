@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, MutableSequ
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import takewhile
+from itertools import chain, takewhile
 from os import getpid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,7 +75,8 @@ def packed(value: object) -> str:
 
 def send(item: pytest.Item, event: Event, **more: Any) -> None:
     """Send an event of a running item to the controller, with additional JSON-compatible data."""
-    report = report_on(item, PHASE, pafot=(type(event).__name__, packed(event), more))
+    message = (type(event).__name__, packed(event), more)
+    report = report_on(item, PHASE, pafot=message)
     item.ihook.pytest_runtest_logreport(report=report)
 
 
@@ -109,7 +110,8 @@ def send_seen(
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
-        more["view"] = json.dumps(finding_view(seen, note=note, check=check), allow_nan=False)
+        view = finding_view(seen, note=note, check=check)
+        more["view"] = json.dumps(view, allow_nan=False)
     send(item, seen, **more)
 
 
@@ -328,12 +330,13 @@ def _fit(longrepr: Any, width: int) -> None:
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())]
     if not tracebacks and hasattr(longrepr, "reprtraceback"):
         tracebacks = [longrepr.reprtraceback]
-    for entry in (entry for each in tracebacks for entry in each.reprentries):
+    for entry in chain.from_iterable(each.reprentries for each in tracebacks):
         lines = [_COLOUR.sub("", line) for line in entry.lines]
         code: list[str] = []
         if entry.style != "value":
             code = list(takewhile(lambda line: not line.startswith(MARKER), lines))
-        entry.lines = [*map(visible_lines, code), *fitted_lines(lines[len(code) :], width)]
+        message = fitted_lines(lines[len(code) :], width)
+        entry.lines = [*map(visible_lines, code), *message]
         values = getattr(entry, "reprlocals", None)
         if values is not None:
             values.lines = list(map(visible_lines, values.lines))
@@ -431,7 +434,11 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
         from pytest_pafot.execution import dask_cluster  # noqa: PLC0415  (few sessions need it)
 
         live = LiveTerminal(config)
-        connected = dask_cluster.connect(address, lambda text: live.write(["", f"pafot: {text}"]))
+
+        def tell(text: str) -> None:
+            live.write(["", f"pafot: {text}"])
+
+        connected = dask_cluster.connect(address, tell)
         stack = ExitStack()
         config.add_cleanup(stack.close)
         try:

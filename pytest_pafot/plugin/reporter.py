@@ -205,6 +205,7 @@ class Reporter:
         self._record = config.stash[SESSION]
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
+        # for each search, the reports of its new findings and the workers that sent them
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
         self._expanded: set[str] = set()
 
@@ -238,9 +239,11 @@ class Reporter:
 
         # Three cases: pytest's text and the block, only the block, or no text for a search whose findings have blocks.
         record, option = self._record, self._config.option
-        search, seen = record.searches.get(report.nodeid), record.seen.get(report.nodeid)
+        search = record.searches.get(report.nodeid)
+        seen = record.seen.get(report.nodeid)
         is_whole = self._config.get_verbosity() > 0
-        if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
+        has_finds = search is not None and search.finds and search.reason != Ending.ERROR
+        if has_finds and not is_whole:
             # pytest's mark for a failure that needs no text at the end
             report.__dict__["_pdbshown"] = True
         if seen is None or not seen.headline:
@@ -302,7 +305,8 @@ class Reporter:
             crash = getattr(report.longrepr, "reprcrash", None)
             if crash is not None:
                 text = str(crash.message).removeprefix("Failed: ")
-            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
+            lines = filter(None, map(str.strip, text.splitlines()))
+            reason = next(lines, "")
             saved = None
             if SAVED_MARK in report.keywords:
                 saved = json.loads(getattr(report, AS_SAVED, "{}"))
@@ -391,8 +395,9 @@ class Reporter:
             case Seen() if event.observed.new == "new":
                 self._files.write_json()
                 if event.node_id not in self._expanded:
+                    node = getattr(report, "node", None)
                     pending = self._pending.setdefault(report.nodeid, {})
-                    pending[event.node_id] = more["report"], getattr(report, "node", None)
+                    pending[event.node_id] = more["report"], node
                 self._live.erase_progress()
                 if not is_known and self._config.get_verbosity() >= 0:
                     self._live.write([terminal.found_line(event)])

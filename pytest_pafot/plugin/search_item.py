@@ -259,8 +259,8 @@ class Execution:
         if saved.finding is not None:
             seed, signature = saved.finding.found.seed, saved.finding.signature.text
         file = relative(saved.path, item.config.rootpath)
-        properties = {"seed": seed, "id": saved.id, "signature": signature, "file": file}
-        set_properties(item.user_properties, **properties)
+        own = item.user_properties
+        set_properties(own, seed=seed, id=saved.id, signature=signature, file=file)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_makereport(
@@ -311,9 +311,11 @@ SHOWN = 6  # the number of innermost frames that are printed
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
     """End the session if the policy hangs in this context and ignores interrupts."""
-    main, file = threading.get_ident(), _real_stderr(item.config)
+    main = threading.get_ident()
+    file = _real_stderr(item.config)
+    resort = LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)
     try:
-        with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
+        with last_resort(resort):
             yield
     finally:
         if file is not None:

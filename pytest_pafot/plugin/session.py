@@ -179,7 +179,8 @@ def call_of(config: pytest.Config) -> list[str]:
 
 def path_of(config: pytest.Config, arg: str) -> Path:
     """Return the path in a command-line argument such as ``file.py::test``."""
-    return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
+    path, _, _ = arg.partition("::")
+    return Path(os.path.normpath(config.invocation_params.dir / path))
 
 
 SHARED = pytest.StashKey[Shared]()
@@ -275,8 +276,8 @@ def guard_exits(config: pytest.Config) -> None:
                 note = f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
                 with uncaptured(config):
                     print(f"\n{note}\n  {caller}", flush=True)
-            # os.abort has no status
-            if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:
+            status, *_ = [*given, *named.values(), 1]  # os.abort has none
+            if name.startswith("exec") or status % 256 == 0:
                 own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
         own[name](*given, **named)
 

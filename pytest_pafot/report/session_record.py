@@ -248,8 +248,8 @@ def markdown(session: Session, page: str = "") -> str:
     ``page`` is the path of the report page, or empty.
     """
     where, rest = where_to_see_more(page)
-    is_used = session.searches or session.seen or session.unread or session.left or session.problems
-    if not is_used:
+    is_driven = session.searches or session.seen or session.unread
+    if not (is_driven or session.left or session.problems):
         return ""
     return "\n".join(_lines(session, f"see {code(where)}{rest}")) + "\n"
 
@@ -303,8 +303,9 @@ def _search_lines(session: Session) -> Iterator[str]:
     options = " or ".join(dict.fromkeys(code(search.options) for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
     yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; repeat with {options}."
-    against = ", ".join(dict.fromkeys(code(search.against) for search in ran if search.against))
-    if against:
+    references = dict.fromkeys(code(search.against) for search in ran if search.against)
+    if references:
+        against = ", ".join(references)
         yield f"A run counts as a failure only if {against} passes the same scenario."
     drawn = [search for search in ran if search.random["runs"]]
     failing = sum(map(random_failures, drawn))

@@ -239,8 +239,9 @@ def describe_failure(seen: Seen) -> list[str]:
         who = "environment" if first.startswith(WORLD_HANG) else "policy"
         first = f"The {who} failed after {expect.time:.1f} s: {first}"
         # The last frame in the policy: its two lines, without the markers below them.
-        lines = [line.rstrip() for line in expect.traceback.splitlines() if line.startswith("  ")]
-        frame = [line for line in lines if line.strip(" ~^")][-2:]
+        traceback = map(str.rstrip, expect.traceback.splitlines())
+        lines = [line for line in traceback if line.startswith("  ") and line.strip(" ~^")]
+        frame = lines[-2:]
     told = [first, *frame, *sentences]
     if seen.moment is not None:
         told.append(seen.moment.brief)
@@ -276,7 +277,8 @@ def block_lines(
         end = " ".join(text.removeprefix("Failed: ").split())
         first = f"{capitalised(end).removesuffix('.')}."
         place = ""
-    if expect.check is not None or not (expect.signature.is_property or expect.is_crash):
+    has_place = expect.signature.is_property or expect.is_crash
+    if expect.check is not None or not has_place:
         place = ""
     # Each text has a number. Texts with 0 must stay. Texts with the largest numbers are omitted first: a condition of
     # several lines, the number of similar runs, which the summary repeats, the ego's actions, and then the policy's
@@ -362,7 +364,8 @@ def shrunk_lines(finding: Finding) -> list[str]:
         return []
     before = finding.shrunk.before.split(", ")
     after = described(finding.scenario, finding.longest_run).split(", ")
-    changed = [pair for pair in zip(before, after, strict=True) if pair[0] != pair[1]]
+    pairs = zip(before, after, strict=True)
+    changed = [(old, new) for old, new in pairs if old != new]
     how = "to a simpler scenario of the same size"
     if changed:
         old, new = map(", ".join, zip(*changed, strict=True))
@@ -419,8 +422,8 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     if share:
         texts.append(f"{failing or 'None'} {share}")
     # A session may have hundreds of searches without a failure, so each of them takes only one line.
-    is_quiet = evaluated and search.reason.is_complete and not (search.failing or finds or is_whole)
-    if not is_quiet:
+    has_passed = evaluated and search.reason.is_complete and not search.failing
+    if is_whole or finds or not has_passed:
         texts.append(f"{listed(_efforts(search))} took {search.seconds:.1f} s")
     if not search.reason.is_complete:
         made = {"generations": search.generations, "runs": search.runs}
