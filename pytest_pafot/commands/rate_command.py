@@ -22,7 +22,7 @@ from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
-from pytest_pafot.support.text import one_line, plural, visible, wrapped_to
+from pytest_pafot.support.text import first_of, one_line, plural, visible, wrapped_to
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.episode import Episode, drive_episode
@@ -74,20 +74,13 @@ class Rate:
             crashes = f"{len(self.crashed)} of {plural(self.driven, 'episode')} crashed, {share}"
         lines = [crashes]
         if self.crashed:
-            lines.append(f"  seeds of the crashes: {_shown(self.crashed)}")
+            lines.append(f"  seeds of the crashes: {first_of(self.crashed, SHOWN)}")
         if self.failed:
             lines.append(
                 f"  not counted: {plural(len(self.failed), 'episode')} that did not start or ended with an error. "
-                f"Seeds: {_shown([*self.failed])}. First reason: {next(iter(self.failed.values()))}"
+                f"Seeds: {first_of([*self.failed], SHOWN)}. First reason: {next(iter(self.failed.values()))}"
             )
         return lines
-
-
-def _shown(seeds: Sequence[int]) -> str:
-    shown = ", ".join(map(str, seeds[:SHOWN]))
-    if len(seeds) > SHOWN:
-        shown += f" and {len(seeds) - SHOWN} more"
-    return shown
 
 
 def compare_rates(first: Rate, others: Sequence[Rate]) -> list[str]:

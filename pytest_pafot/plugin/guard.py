@@ -37,15 +37,15 @@ from pytest_pafot.plugin.session import (
     SESSION,
     call_of,
     cause_of,
-    first,
     path_of,
     value_if_right,
 )
 from pytest_pafot.report.session import ADVICE, UNNAMED_ADVICE
 from pytest_pafot.searches.options import BY_NAME, OF_COMMAND
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import plural, visible
+from pytest_pafot.support.text import first_of, plural, visible
 
+LISTED = 5  # the maximum number of names in a line
 MAX_FOLDERS = 10_000  # the maximum number of folders to search for saved scenarios
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error about saved scenarios that did not run."""
@@ -122,13 +122,13 @@ class Guard:
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
             count = plural(len(unnamed), "test")
-            line = f"pytest did not collect {count} with a pafot mark: {first(unnamed)}"
+            line = f"pytest did not collect {count} with a pafot mark: {first_of(unnamed, LISTED)}"
             _report(session, UNNAMED_ID, line, f"{UNNAMED_ADVICE}. {why}")
         self._note_left()
         fails = self._session.fails
         if fails:
             count = plural(len(fails), "saved scenario")
-            line = f"this session did not run {count}: {first(fails)}"
+            line = f"this session did not run {count}: {first_of(fails, LISTED)}"
             way_out = f"To run only some of them, add {BY_NAME['allow_orphans'].flag}"
             _report(session, ERROR_ID, line, f"{ADVICE}. {why}. {way_out}")
         return result

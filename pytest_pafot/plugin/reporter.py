@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.corpus.layout import relative
+from pytest_pafot.corpus.layout import link_below, refusal, relative
 from pytest_pafot.plugin.collection import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import (
     AS_SAVED,
@@ -22,7 +22,6 @@ from pytest_pafot.plugin.session import (
     SHARED,
     base_line,
     exit_code,
-    not_written,
     report_on,
     terminal_width,
     uncaptured,
@@ -80,18 +79,17 @@ class Files:
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
-            file = self._config.invocation_params.dir / path
-            text = markdown(record, page=asked or "")
-            problem = not_written(self._config, path, file.parent, lambda: append(file, text))
+            problem = self._write(path, markdown(record, page=asked or ""), append)
             if problem:
                 record.problems.append(f"{SUMMARY}={path}: the summary was not written: {problem}")
 
     def _write_page(self, target: str) -> None:
         from pytest_pafot.report.page import render_page  # noqa: PLC0415
+        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
-        problem = self._write(target, page.encode())
+        problem = self._write(target, page, write_whole)
         if problem:
             name = flag("report", target)
             self._session.problems.append(f"{name}: the page was not written: {problem}")
@@ -104,13 +102,13 @@ class Files:
         if self._json is None or (not is_over and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
-        from pytest_pafot.support.files import is_stream  # noqa: PLC0415
+        from pytest_pafot.support.files import is_stream, write_whole  # noqa: PLC0415
 
         if not is_over and is_stream(self._path_of(self._json)):
             return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
-        problem = self._write(self._json, text)
+        problem = self._write(self._json, text, write_whole)
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
         took = monotonic() - began
@@ -125,11 +123,20 @@ class Files:
     def _path_of(self, name: str) -> Path:
         return Path(os.path.normpath(self._config.invocation_params.dir / name))
 
-    def _write(self, name: str, content: str | bytes) -> str:
-        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
-
+    def _write(self, name: str, text: str, write: Callable[[Path, str], object]) -> str:
+        """Write a file. Return an empty string or, if that fails, the reason and a solution."""
         path = self._path_of(name)
-        return not_written(self._config, name, path.parent, lambda: write_whole(path, content))
+        link = link_below(self._config.rootpath, path.parent)
+        # A link below the rootdir may come from a repository, and lead anywhere.
+        if link is not None and not os.path.isabs(name):  # noqa: PTH117  (a text of the user)
+            return refusal(link)
+        try:
+            write(path, text)
+        except OSError as error:
+            from pytest_pafot.support.files import way_out  # noqa: PLC0415
+
+            return f"{error.strerror or error}. {way_out(error, 'or name another file')}"
+        return ""
 
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]

@@ -9,7 +9,7 @@ import shutil
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import date, timedelta
 from functools import partial
@@ -19,7 +19,6 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.report.session import Session
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.support.errors import RequestError, flag
@@ -116,7 +115,6 @@ def _read(option: Option, place: str, value: object) -> Any:
 
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
-LISTED = 5  # the maximum number of names in a line
 
 
 def terminal_width() -> int:
@@ -152,14 +150,6 @@ class Inventory(NamedTuple):
     corpora: set[str]  # the corpora of the collected tests
     deselected: set[str]  # the saved scenarios of deselected items, as reports name them
     unnamed: set[str]  # marked functions and classes that pytest does not collect as tests
-
-
-def first(names: Sequence[str]) -> str:
-    """Return a list of the first five names, and the number of the remaining names."""
-    listed = ", ".join(names[:LISTED])
-    if len(names) > LISTED:
-        listed += f" and {len(names) - LISTED} more"
-    return listed
 
 
 def cause_of(config: pytest.Config) -> str:
@@ -299,24 +289,6 @@ def exit_code(session: pytest.Session) -> int:
     if isinstance(sys.exc_info()[1], KeyboardInterrupt):
         return int(pytest.ExitCode.INTERRUPTED)
     return int(session.exitstatus)
-
-
-def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Call a function that writes a file. Return an empty string or, if the call fails, the reason and a solution.
-
-    ``name`` is the path as the user wrote it.
-    """
-    # A link below the rootdir may come from a repository, and lead anywhere.
-    link = link_below(config.rootpath, folder)
-    if link is not None and not os.path.isabs(name):  # noqa: PTH117  (a text of the user)
-        return refusal(link)
-    try:
-        write()
-    except OSError as error:
-        from pytest_pafot.support.files import way_out  # noqa: PLC0415
-
-        return f"{error.strerror or error}. {way_out(error, 'or name another file')}"
-    return ""
 
 
 def is_worker(config: pytest.Config) -> bool:

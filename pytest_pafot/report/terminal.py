@@ -35,6 +35,7 @@ from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import (
     ascii_text,
     capitalised,
+    first_of,
     fitted_lines,
     listed,
     plural,
@@ -383,7 +384,7 @@ def ranked(findings: Iterable[Seen]) -> list[Seen]:
 def failure_message(search: Search) -> str:
     """Return the reason why a search's item fails."""
     names = [f"{each.id} (flaky)" if each.is_flaky else each.id for each in ranked(search.finds)]
-    return f"{plural(len(names), 'new failure')} in {plural(search.runs, 'run')}: {_listed(names)}"
+    return f"{plural(len(names), 'new failure')} in {plural(search.runs, 'run')}: {first_of(names, MAX_FINDS)}"
 
 
 def random_failures(search: Search) -> int:
@@ -453,7 +454,7 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
             f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()
         ]
         why = "the reference fails as often in other scenarios"
-        texts.append(f"Not counted, because {why}: {_listed(names)}")
+        texts.append(f"Not counted, because {why}: {first_of(names, MAX_FINDS)}")
     if is_whole and search.no_interaction:
         texts.append(f"{search.no_interaction} of these runs had no interaction")
     if is_whole and search.reached is not None:
@@ -558,7 +559,7 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
         lines.append(f"not run: {test}: pytest does not collect it. {UNNAMED_ADVICE}")
     if session.left:
         count = plural(len(session.left), "saved scenario")
-        lines.append(f"not run: {count}: {_listed(session.left, MAX_LEFT)}")
+        lines.append(f"not run: {count}: {first_of(session.left, MAX_LEFT)}")
     # The command `search` prints its own advice.
     if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
         seeds = dict.fromkeys(flag("seed", each.base_seed) for each in session.ended if each.finds)
@@ -612,13 +613,6 @@ def _escaped(text: str) -> str:
 
 def _escaped_property(text: str) -> str:
     return _escaped(text).replace(":", "%3A").replace(",", "%2C")
-
-
-def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:
-    joined = ", ".join(names[:limit])
-    if len(names) > limit:
-        joined += f" and {len(names) - limit} more"
-    return joined
 
 
 def _wrapped(text: str, width: int) -> list[str]:
