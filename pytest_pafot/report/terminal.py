@@ -59,9 +59,13 @@ MAX_ANNOTATED = 5
 MAX_LEFT = 5
 MAX_REPLAYS = 10
 # Why a search ended early, as the end of a sentence after "because". Unknown reasons are missing.
-WHY = {Ending.FINDINGS: "it had enough findings", Ending.REPLAYS: "it only replayed", Ending.ERROR: "of an error",
-       Ending.INTERRUPTED: "it was interrupted", Ending.MAX_TIME: f"of {Ending.MAX_TIME}"}  # fmt: skip
-
+WHY = {
+    Ending.FINDINGS: "it had enough findings",
+    Ending.REPLAYS: "it only replayed",
+    Ending.ERROR: "of an error",
+    Ending.INTERRUPTED: "it was interrupted",
+    Ending.MAX_TIME: f"of {Ending.MAX_TIME}",
+}
 
 BEST_ACTION = (
     "or make a model take its best action (in Stable-Baselines3: predict(..., deterministic=True))"
