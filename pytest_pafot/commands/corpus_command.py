@@ -87,6 +87,7 @@ def _lines(saved: Iterable[Saved], added: Mapping[Path, Since], width: int) -> I
             test, about = finding.test.partition("::")[2], finding.expect.brief
             if finding.xfail is not None:
                 about += f"; accepted: {finding.accepted}"
+        # git stores a file that is a link as a link, so only the folder is resolved.
         folder = os.path.realpath(each.path.parent)
         since = added.get(Path(folder, each.path.name), ())
         rows.append((ascii_text(each.id), ascii_text(test), " ".join(since)))

@@ -89,6 +89,7 @@ def compare_rates(first: Rate, others: Sequence[Rate]) -> list[str]:
     for other in others:
         seeds = {each.seed for each in first.episodes}
         seeds &= {each.seed for each in other.episodes}
+        # An episode that one policy did not complete cannot be compared.
         seeds -= first.failed.keys() | other.failed.keys()
         one = seeds.intersection(first.crashed)
         two = seeds.intersection(other.crashed)
@@ -138,6 +139,7 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
     episodes = [drive_episode(world, factory, seed, is_planner=is_planner) for seed in seeds]
     errors = [each.error for each in episodes if each.error]
     if first == given.seed and len(errors) == CHUNK:
+        # The last frame is in the code of the user.
         _, start, frame = errors[0].traceback.rpartition("  File ")
         place = (start + frame).rstrip()
         way_out = "Correct the policy, its factory or environment"
@@ -206,6 +208,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         found[name] = []
     limit = _limit_of(given)
     environment_of(given)  # errors in the options must come before the first episode
+    # All policies drive a chunk before the next one starts, so an interrupted command can compare them.
     seeds = range(given.seed, given.seed + given.episodes, CHUNK)
     tasks = [(name, seed) for seed in seeds for name in found]
     drive = partial(drive_task, given)

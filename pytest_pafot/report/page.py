@@ -65,6 +65,7 @@ def text(value: object) -> str:
 
 def prose(value: object) -> str:
     """Escape a string for HTML, with line breaks only where a reader expects them."""
+    # A number stays on the line of its unit, and names may be broken after these characters.
     joined = re.sub(r"(?<=\d) (?=m\b|s\b)|(?<=NPC) (?=\d)", "\u00a0", text(value))
     return re.sub(r"(?<=\w\w)/|_|::|\[", r"\g<0><wbr>", joined)
 
@@ -153,6 +154,7 @@ def finding_article(finding: Shown, index: int) -> str:
         '<div class="told"><div>'
     )
     for sentence in view["sentences"]:
+        # The ego's error is emphasised.
         kind = "sentence deed" if sentence == view["deed"] else "sentence"
         article += f'<p class="{kind}">{prose(sentence)}</p>'
     if view["besides"]:
@@ -266,6 +268,7 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
     searches = sorted(session.ended, key=lambda each: each.node_id)
     seen = findings_of(session)
     found = [seen[node_id] for node_id in session.views]
+    # New findings come first, because nobody has seen them yet.
     found.sort(key=lambda each: (each.label != "new", *each.rank))
     more = found[WHOLE:]
     views = [_shown(each, session) for each in found[:WHOLE]]
@@ -322,6 +325,7 @@ def _unexplained(session: Session, searches: Iterable[Search]) -> list[str]:
             explained.add(search.node_id)
     articles = []
     for (node_id, phase), failure in sorted(session.failures.items()):
+        # A finding does not explain a failed set-up or teardown.
         if phase == "call" and node_id in explained:
             continue
         why = ended.get(node_id, "It failed, but no finding on this page explains why.")
@@ -335,7 +339,7 @@ def _unexplained(session: Session, searches: Iterable[Search]) -> list[str]:
 def _shown(seen: Seen, session: Session) -> Shown:
     search = by_test(session.ended).get(seen.test)
     runs = 1 + seen.alike.runs
-    if search is not None:
+    if search is not None:  # It is a replay, whose failure the search may have met again.
         runs = search.known.get(seen.id, 1)
     label: str = seen.result
     if seen.label == "new" and seen.remark:

@@ -106,7 +106,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         xfail: `reason` and `until` of an accepted failure, or null.
     """
     if seen is None:
-        return deepcopy(dict(FINDING)) | more
+        return deepcopy(dict(FINDING)) | more  # a copy, because the caller may change its lists
     finding, now, moment = seen.finding, seen.observed, seen.moment
     expect, found = finding.expect, finding.found
     entry = {
@@ -174,6 +174,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         orphans: folders with saved scenarios that the session did not replay.
         warnings, problems: warnings, for example about expired acceptances and skipped tests; errors outside tests.
     """
+    # Paths differ between machines, but the same seed must give the same JSON.
     same = partial(portable, root=root)
     reasons = {node_id: same(reason) for node_id, reason in session.reasons.items()}
     findings = {}
@@ -274,6 +275,7 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
             continue
         yield from ("", f"**{GROUPS[status]}**", "")
         most = MAX_LISTED
+        # Failures take several lines each, so all groups of failures share a limit.
         if not status.startswith(("accepted", "passed")):
             most = left
             left -= min(left, len(group))

@@ -89,6 +89,7 @@ def add_event(session: Session, event: Event, item: str = "", view: str = "") ->
     match event:
         case Search():
             finds = tuple(_with_alike(session, find) for find in event.finds)
+            # Removed first, because searches are listed in the order in which they ended.
             session.searches.pop(event.node_id, None)
             session.searches[event.node_id] = replace(event, finds=finds)
         case Seen():
@@ -104,6 +105,7 @@ def add_event(session: Session, event: Event, item: str = "", view: str = "") ->
             session.incomparable[event.text] = None
         case Note():
             texts = session.warnings if event.kind == "warning" else session.notes
+            # Many items can send the same note, for example about an option.
             if event.text not in texts:
                 texts.append(event.text)
 
@@ -131,7 +133,7 @@ def add_failure(
     """
     session.failures[node_id, phase] = text
     session.reasons.setdefault(node_id, reason)
-    if node_id in session.seen:
+    if node_id in session.seen:  # The finding describes the failure.
         return
     if saved is None:
         session.searches.setdefault(node_id, Search(node_id=node_id))
@@ -163,6 +165,7 @@ def command_for(session: Session, seen: Seen, *words: str, name: str = "") -> st
     if seen.path:
         again = [*words, *session.options, name or seen.path]
         return rerun(again, os.environ, saved=seen.id)
+    # There is no file, so only the search can show it again.
     item = session.items.get(seen.node_id, "")
     search = session.searches.get(item, Search(node_id=item))
     return rerun([*words, item], os.environ, *search.options.split())
@@ -171,6 +174,7 @@ def command_for(session: Session, seen: Seen, *words: str, name: str = "") -> st
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
     """Return a progress line. If it is too long, shorten the node id first and then the end."""
     tail = f" {progress.phase or _counts_so_far(progress)}"
+    # The end of a node id distinguishes the tests of a file, so some of it is always shown.
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
     if len(name) > room:
@@ -282,6 +286,7 @@ def block_lines(
         end = " ".join(text.removeprefix("Failed: ").split())
         first = f"{capitalised(end).removesuffix('.')}."
         place = ""
+    # The sentences explain any other failure better than the line of its assertion.
     has_place = expect.signature.is_property or expect.is_crash
     if expect.check is not None or not has_place:
         place = ""
@@ -334,7 +339,7 @@ def block_lines(
         accepts = f"The line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {now.beyond}"
         way_out = "Correct the policy, or delete the file, search again and accept the new finding"
         parts.append((0, f"The failure is not accepted. {accepts}. {way_out}."))
-    room = ROOM - bool(again)
+    room = ROOM - bool(again)  # The command has a line of its own.
     while not is_whole:
         height = sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts)
         spared = max(parts, key=lambda part: part[0])
@@ -342,6 +347,7 @@ def block_lines(
             break
         parts.remove(spared)
     lines = fitted_lines([ascii_text(text) for _, text in parts], width)
+    # Without a file, the scenario would be lost. With --pafot-save=none, the user does not want it.
     if not seen.path and seen.detail != flag("save", "none"):
         lines.append("The file would contain:")
         lines += [ascii_text(f"  {line}") for line in text_of(finding).splitlines()]
@@ -421,6 +427,7 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
     for id_, count in sorted(search.known.items()):
         rows.append(f"{id_}: {plural(count, 'run')} (known)")
     if len(rows) > MAX_KINDS and not is_whole:
+        # The last row states how many kinds are omitted.
         left = len(rows) - MAX_KINDS + 1
         rows[MAX_KINDS - 1 :] = [f"{left} more kinds of failures"]
     texts = [first, *rows]
@@ -554,7 +561,7 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
         new = replace(search, drawn="") if search.drawn in drawn else search
         lines += search_lines(new, width=width, is_whole=is_whole)
         drawn.add(search.drawn)
-    for node_id in session.running:
+    for node_id in session.running:  # They were interrupted, or their worker died.
         lines.append(node_id)
         lines += _wrapped("did not finish; its findings so far are reported", width)
     lines += replay_lines(replays_of(session), width)
@@ -598,6 +605,7 @@ def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
     worst = ranked(sightings)
     lines = []
     for sighting in worst[:MAX_ANNOTATED]:
+        # A line break would end the command. GitHub decodes this one.
         text = "%0A".join(map(_escaped, describe_failure(sighting)))
         file = _escaped_property(sighting.node_id.partition("::")[0])
         lines.append(f"::error file={file},title={_escaped_property(sighting.id)}::{text}")

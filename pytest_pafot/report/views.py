@@ -146,6 +146,7 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
         span = slice(before + 1, tick + 1)
         worst.append(values[span][excess[span].argmax()])
     low, high = _axis(check, values)
+    # Small values need more digits, because the curve fills the height of the axis.
     digits = max(4, 4 - math.floor(math.log10(high - low)))
     broken = []
     for first, end in stretches(excess > 0):
@@ -263,6 +264,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         view["check"] = check_view(check, trace, ticks)
         short = _check_in_short(check, view["check"])
         told = _check_sentences(view["check"])
+        # The headline states the check with its full text, which the picture shows, too.
         if written not in headline:
             told.insert(0, f"{capitalised(short)}.")
         elif headline.startswith(written):
@@ -394,6 +396,7 @@ def _decided(action: Any, names: Sequence[str]) -> str:
         return names[plain]
     if not is_si(plain):
         return text_of_action(plain)
+    # -0.0 becomes 0.0.
     acceleration, steering = (round(each, 2) + 0.0 for each in plain)
     decided = f"{acceleration:.1f} m/s^2"
     if steering:
