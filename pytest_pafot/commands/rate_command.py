@@ -283,7 +283,8 @@ def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
             )
     if limit is not None:
         errors = sum(each.error is not None for each in rates[0].episodes)
-        low, _ = interval(len(rates[0].crashed), rates[0].driven)
+        crashes = len(rates[0].crashed)
+        low, _ = interval(crashes, rates[0].driven)
         if errors:
             yield f"--fail-above: expected episodes without an error, received {errors} with an error"
         elif low > limit:

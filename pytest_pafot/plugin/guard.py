@@ -164,13 +164,16 @@ class Guard:
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
             return  # The command runs one test. It does not collect the other tests of the project.
-        left = [pair for pair in sorted(self._left_out()) if not self._is_excluded(*pair)]
-        self._session.left = [visible(relative(file, config.rootpath)) for file, _ in left]
+        left = []
+        for file, test in sorted(self._left_out()):
+            if not self._is_excluded(file, test):
+                left.append(visible(relative(file, config.rootpath)))
+        self._session.left = left
         values = [config.getoption(name, None) for name in _SELECTING]
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
         may_fail = self._is_whole and not is_partial and not value_if_right(config, "allow_orphans")
         if self.cause and may_fail:
-            self._session.fails = self._session.left
+            self._session.fails = left
 
     def _is_excluded(self, *paths: Path) -> bool:
         config, given = self._config, self._config.stash[GIVEN]

@@ -272,5 +272,6 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     if npc is not None:
         header += f": NPC {npc} is {seen_of(run.trace, npc, number)}"
     header += ". Type s to step into the policy"
-    ads = wrap_ads(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
+    factory = replays.harness.policy.factory
+    ads = wrap_ads(factory, lambda ads: Stopping(ads, number, header))
     GENERATORS.run(world.rollout, finding.scenario, ads)

@@ -72,8 +72,9 @@ class Files:
             record.problems.append(f"{flag('report', asked)}: {problem}")
         self.write_json()
         path = os.environ.get(SUMMARY)
-        is_empty = not (record.searches or record.seen or record.unread or record.left)
-        if not path or self._is_listed or (is_empty and not (record.warnings or record.problems)):
+        is_driven = record.searches or record.seen or record.unread or record.left
+        has_content = is_driven or record.warnings or record.problems
+        if not path or self._is_listed or not has_content:
             return  # No modules are imported for an empty summary.
         with record.faults(f"{SUMMARY}: the summary was not written"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
@@ -232,7 +233,8 @@ class Reporter:
         if message is not None:
             self._take(report, *message)
             # pytest stores every report until the session ends, and reports without a result under the empty name.
-            stored = getattr(self._live.writer, "stats", {}).get("", [])
+            stats = getattr(self._live.writer, "stats", {})
+            stored = stats.get("", [])
             if stored and stored[-1] is report:
                 stored.pop()
         elif report.when == "teardown":
@@ -367,7 +369,8 @@ class Reporter:
             from pytest_pafot.report import terminal  # noqa: PLC0415
 
             terminalreporter.section("pafot")
-            width, is_whole = self._config.stash[SHARED].width, self._config.get_verbosity() > 0
+            width = self._config.stash[SHARED].width
+            is_whole = self._config.get_verbosity() > 0
             for line in terminal.session_lines(record, width=width, is_whole=is_whole):
                 terminalreporter.line(line)
             if os.environ.get("GITHUB_ACTIONS") == "true":
@@ -417,7 +420,8 @@ class Reporter:
 
         # pytest counts each new finding like an item, with the node id of its future replay.
         pending = self._pending.pop(search_id, {})
-        for seen in terminal.ranked([self._record.seen[node_id] for node_id in pending]):
+        found = [self._record.seen[node_id] for node_id in pending]
+        for seen in terminal.ranked(found):
             data, node = pending[seen.node_id]
             self._expanded.add(seen.node_id)
             report = self._config.hook.pytest_report_from_serializable(

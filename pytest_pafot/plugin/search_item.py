@@ -385,7 +385,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in separate processes, which it may kill.
     chosen = isolated_after_a_death(harness, replays)
     now = chosen.request.settings
-    watch_again(item, is_elsewhere=now.isolate or now.workers > 1 or chosen.cluster is not None)
+    is_elsewhere = now.isolate or now.workers > 1 or chosen.cluster is not None
+    watch_again(item, is_elsewhere=is_elsewhere)
     messages_of_search = SearchMessages(item, settings)
     with prepared(chosen) as parts:
         session = SearchSession(
@@ -486,7 +487,8 @@ def _report(item: pytest.Item, seen: Seen) -> dict[str, Any]:
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     report.nodeid = seen.node_id
-    report.location = (*report.location[:2], saved_name(item, seen.id))
+    file, line, _ = report.location
+    report.location = (file, line, saved_name(item, seen.id))
     item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
     set_properties(report.user_properties, **finding_properties([seen]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(

@@ -573,8 +573,8 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
         lines.append(f"not run: {count}: {first_of(session.left, MAX_LEFT)}")
     # The command `search` prints its own advice.
     if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):
-        seeds = dict.fromkeys(flag("seed", each.base_seed) for each in session.ended if each.finds)
-        again = " or ".join(f"pytest {seed}" for seed in seeds)
+        seeds = [each.base_seed for each in session.ended if each.finds]
+        again = " or ".join(f"pytest {flag('seed', seed)}" for seed in dict.fromkeys(seeds))
         what = "this search" if len(session.ended) == 1 else "the searches"
         replay = " ".join(["pytest", *session.options, flag("runs", 0)])
         advice = f"{replay} replays the saved scenarios, and {again} repeats {what}."

@@ -147,7 +147,8 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
         worst.append(values[span][excess[span].argmax()])
     low, high = _axis(check, values)
     # Small values need more digits, because the curve fills the height of the axis.
-    digits = max(4, 4 - math.floor(math.log10(high - low)))
+    magnitude = math.floor(math.log10(high - low))
+    digits = max(4, 4 - magnitude)
     broken = []
     for first, end in stretches(excess > 0):
         last = end - 1
@@ -302,7 +303,8 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
 
 def _in_words(headline: str, lines: Sequence[str], collision: str, finding: Finding) -> View:
     expect = finding.expect
-    shown = [("The collision", collision), ("", _prose(lines or [expect.message]))]
+    told = _prose(lines or [expect.message])
+    shown = [("The collision", collision), ("", told)]
     size = shrunk_lines(finding)
     if size and finding.shrunk is not None:
         size[0] += f" in {plural(finding.shrunk.rollouts, 'run')}"
@@ -320,10 +322,12 @@ def _with_curve(check: Check, trace: Trace) -> Check:
     if measure is None or check.time is not None:
         return check
     # If the value is the smallest gap or time to contact of the run, the page can show the curve of that measure.
+    # the smallest value over all NPCs, in each tick
     values = np.fmin.reduce(measure(trace), axis=1, initial=np.inf)
     if values.min() != check.value:
         return check
-    return replace(check, values=values, time=float(values.argmin()) / trace.physics_hz)
+    time = float(values.argmin()) / trace.physics_hz
+    return replace(check, values=values, time=time)
 
 
 def _check_in_short(check: Check, view: View) -> str:
