@@ -94,7 +94,8 @@ def main_in_child(arguments: list[str]) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # it is closed, for example by `>&-`
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
-    if told := os.environ.pop(DRIVES, ""):
+    told = os.environ.pop(DRIVES, "")
+    if told:
         parent, _, folder = told.partition(":")
         from pytest_pafot.support.process import bound_to  # noqa: PLC0415
 
@@ -110,7 +111,7 @@ def main_in_child(arguments: list[str]) -> int:
             code = _interrupted(arguments)
         leave_receipt(folder, code)
         return code
-    if arguments[:1] == [] or arguments[0] not in GATES:
+    if not arguments or arguments[0] not in GATES:
         try:
             _hold_back(False)
             return main(arguments)
@@ -155,7 +156,8 @@ def main_in_child(arguments: list[str]) -> int:
 def _hold_back(is_held: bool) -> None:
     # Block or release ENDS. A child inherits the block, because Python would print a traceback while it starts.
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK, ENDS)
+        how = signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK
+        signal.pthread_sigmask(how, ENDS)
 
 
 def _interrupted(arguments: list[str]) -> int:
@@ -179,7 +181,9 @@ def main(arguments: list[str] | None = None) -> int:
     """
     from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 
-    given = sys.argv[1:] if arguments is None else arguments
+    given = sys.argv[1:]
+    if arguments is not None:
+        given = arguments
     try:
         with interrupted_by_signals(_note):
             return _run(given)
@@ -222,9 +226,9 @@ def _run(given: list[str]) -> int:
         module.add_arguments(parsers[asked])
         parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
-    own = (
-        given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
-    )
+    own = len(given)
+    if given[:1] in (["search"], ["replay"]) and "--" in given:
+        own = given.index("--")
     # as in pytest, because 2 means that a policy hung
     bad_use = 4 if asked == "replay" else BAD_USE
     try:

@@ -41,7 +41,6 @@ import highway_env.road.road  # noqa: F401  pytester forgets modules that a run 
 import pytest
 import yaml
 
-import pytest_pafot.plugin.item_checks
 import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.searches.replays

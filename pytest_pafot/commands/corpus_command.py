@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -62,48 +62,47 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
                 f"corpus: expected an existing folder, received {visible(str(folder))}\n"
             )
             return NO_FOLDER
-    unlisted = {
-        place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()
-    }
+    unlisted: dict[Path, str] = {}
+    below: dict[Path, Path] = {}  # each folder once
+    for folder in arguments.folders:
+        unlisted |= unlisted_below(folder)
+        below |= {each.resolve(): each for each in folders_below(folder)}
     for place, why in unlisted.items():
         sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
-    # each once
-    below = {
-        below.resolve(): below for folder in arguments.folders for below in folders_below(folder)
-    }
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
-    added = added_in(arguments.folders)
-    sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or [
-        "no saved scenarios were found"
-    ]
+    lines = list(_lines(saved, added_in(arguments.folders), shutil.get_terminal_size().columns))
+    if not saved:
+        lines = ["no saved scenarios were found"]
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
 
 
-def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -> Iterator[str]:
+def _lines(saved: Iterable[Saved], added: Mapping[Path, Since], width: int) -> Iterator[str]:
     # A row for each saved scenario, and below it the failure, or the reason why the file cannot be read.
     rows, texts = [COLUMNS], [""]
-    for each, since in zip(saved, sinces, strict=True):
+    for each in saved:
         finding = each.finding
-        test = "" if finding is None else finding.test.partition("::")[2]
-        rows.append((ascii_text(each.id), ascii_text(test), " ".join(since or ())))
-        about = each.error if finding is None else finding.expect.brief
-        accepted = (
-            f"; accepted: {finding.accepted}"
-            if finding is not None and finding.xfail is not None
-            else ""
-        )
-        texts.append(ascii_text(f"{about}{accepted}"))
+        test, about = "", each.error
+        if finding is not None:
+            test, about = finding.test.partition("::")[2], finding.expect.brief
+            if finding.xfail is not None:
+                about += f"; accepted: {finding.accepted}"
+        # git stores a file that is a link as a link, so only the folder is resolved.
+        folder = os.path.realpath(each.path.parent)
+        since = added.get(Path(folder, each.path.name), ())
+        rows.append((ascii_text(each.id), ascii_text(test), " ".join(since)))
+        texts.append(ascii_text(about))
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    for row, text in zip(rows if len(rows) > 1 else [], texts, strict=False):
-        yield "  ".join(f"{cell:{room}}" for cell, room in zip(row, widths, strict=True)).rstrip()
+    for row, text in zip(rows, texts, strict=True):
+        cells = [f"{cell:{room}}" for cell, room in zip(row, widths, strict=True)]
+        yield "  ".join(cells).rstrip()
         if text:
             yield from wrapped_to(f"    {text}", width)
 
 
 def _last_day(text: str) -> date:
-    if (day := day_of(text)) is None:
+    day = day_of(text)
+    if day is None:
         raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
     if day < date.today():
         raise RequestError(f"expected today or a later day, received {text}, which is in the past")
@@ -117,12 +116,9 @@ def _accept(name: str, reason: str, until: date) -> int:
         content = content_of(path)
         finding = parsed(path, content).accepting(reason, until)
         line = text_of(finding).rstrip().rpartition("\n")[2].encode()
-        is_there = XFAIL_LINE.search(content) is not None
-        accepted = (
-            XFAIL_LINE.sub(lambda _: line, content, count=1)
-            if is_there
-            else content.rstrip() + b"\n" + line + b"\n"
-        )
+        accepted, count = XFAIL_LINE.subn(lambda _: line, content, count=1)
+        if count == 0:
+            accepted = content.rstrip() + b"\n" + line + b"\n"
         if parsed(path, accepted) != finding:
             raise ValueError(
                 f"{path}: expected one line `xfail:`, received several. Write `{line.decode()}` by hand"

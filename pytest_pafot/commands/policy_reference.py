@@ -65,12 +65,11 @@ def whole_name(reference: str) -> str:
     """Return ``module:factory[:argument]`` for a name that :func:`ads_factory` accepts."""
     # Example policies come from the clone in which the command runs, or else from the installed package.
     reference = reference.removesuffix(PLANNER)
-    name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
-    return (
-        f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}"
-        if name.startswith(f"{EXAMPLES}.")
-        else name
-    )
+    if ":" not in reference:
+        reference = f"{EXAMPLES}.{reference}:make"
+    if reference.startswith(f"{EXAMPLES}."):
+        return f"{_package_of_examples()}{reference.removeprefix(EXAMPLES)}"
+    return reference
 
 
 def add_world_arguments(

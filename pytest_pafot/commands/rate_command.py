@@ -22,7 +22,7 @@ from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
-from pytest_pafot.support.text import one_line, plural, visible, wrapped_to
+from pytest_pafot.support.text import first_of, one_line, plural, visible, wrapped_to
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.episode import Episode, drive_episode
@@ -47,11 +47,13 @@ class Rate:
     @property
     def failed(self) -> dict[int, str]:
         """The reasons why episodes were not completed, by the episodes' seeds."""
-        return {
-            each.seed: why
-            for each in self.episodes
-            if (why := each.error.text if each.error else each.undriven)
-        }
+        reasons = {}
+        for each in self.episodes:
+            if each.error:
+                reasons[each.seed] = each.error.text
+            elif each.undriven:
+                reasons[each.seed] = each.undriven
+        return reasons
 
     @property
     def driven(self) -> int:
@@ -72,38 +74,40 @@ class Rate:
             crashes = f"{len(self.crashed)} of {plural(self.driven, 'episode')} crashed, {share}"
         lines = [crashes]
         if self.crashed:
-            lines.append(f"  seeds of the crashes: {_shown(self.crashed)}")
+            lines.append(f"  seeds of the crashes: {first_of(self.crashed, SHOWN)}")
         if self.failed:
             lines.append(
                 f"  not counted: {plural(len(self.failed), 'episode')} that did not start or ended with an error. "
-                f"Seeds: {_shown([*self.failed])}. First reason: {next(iter(self.failed.values()))}"
+                f"Seeds: {first_of([*self.failed], SHOWN)}. First reason: {next(iter(self.failed.values()))}"
             )
         return lines
-
-
-def _shown(seeds: Sequence[int]) -> str:
-    more = f" and {len(seeds) - SHOWN} more" if len(seeds) > SHOWN else ""
-    return ", ".join(map(str, seeds[:SHOWN])) + more
 
 
 def compare_rates(first: Rate, others: Sequence[Rate]) -> list[str]:
     """Compare a policy with each of the others by McNemar's test, on the seeds that both completed."""
     counts = []
     for other in others:
-        seeds = {each.seed for each in first.episodes} & {each.seed for each in other.episodes}
+        seeds = {each.seed for each in first.episodes}
+        seeds &= {each.seed for each in other.episodes}
+        # An episode that one policy did not complete cannot be compared.
         seeds -= first.failed.keys() | other.failed.keys()
-        one, two = seeds & {*first.crashed}, seeds & {*other.crashed}
-        counts.append((len(one - two), len(two - one), len(one & two), len(seeds - one - two)))
-    # Holm's method adjusts the p-values of several comparisons.
-    of_all = f", Holm for {len(others)}" if len(others) > 1 else ""
-    return [
-        f"on the same seeds, {plural(only, 'episode')} crashed only with {first.ads}, {only_other} only with "
-        f"{other.ads}, {both} with both and {neither} with neither: p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'} "
-        f"(McNemar, exact, two-sided{of_all})"
-        for other, (only, only_other, both, neither), p in zip(
-            others, counts, holm([mcnemar(*count[:2]) for count in counts]), strict=True
+        one = seeds.intersection(first.crashed)
+        two = seeds.intersection(other.crashed)
+        kinds = (one - two, two - one, one & two, seeds - one - two)
+        counts.append([len(kind) for kind in kinds])
+    test = "McNemar, exact, two-sided"
+    if len(others) > 1:  # Holm's method adjusts the p-values of several comparisons.
+        test += f", Holm for {len(others)}"
+    chances = holm([mcnemar(only, only_other) for only, only_other, _, _ in counts])
+    lines = []
+    for other, chance, numbers in zip(others, chances, counts, strict=True):
+        only, only_other, both, neither = numbers
+        p = "< 0.0001" if chance < 1e-4 else f"= {chance:.2g}"
+        lines.append(
+            f"on the same seeds, {plural(only, 'episode')} crashed only with {first.ads}, {only_other} only with "
+            f"{other.ads}, {both} with both and {neither} with neither: p {p} ({test})"
         )
-    ]
+    return lines
 
 
 def environment_of(given: argparse.Namespace) -> World:
@@ -128,17 +132,22 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode
     Raises:
         RequestError: if these are the policy's first episodes, and each ends with an error.
     """
-    (name, first), world = task, environment_of(given)
-    factory, is_planner = ads_factory(name), name.endswith(PLANNER) or world.planner_hz is not None
+    name, first = task
+    world, factory = environment_of(given), ads_factory(name)
+    is_planner = name.endswith(PLANNER) or world.planner_hz is not None
     seeds = range(first, min(first + CHUNK, given.seed + given.episodes))
     episodes = [drive_episode(world, factory, seed, is_planner=is_planner) for seed in seeds]
     errors = [each.error for each in episodes if each.error]
     if first == given.seed and len(errors) == CHUNK:
-        place = "".join(errors[0].traceback.rpartition("  File ")[1:]).rstrip()
+        # The last frame is in the code of the user.
+        _, start, frame = errors[0].traceback.rpartition("  File ")
+        place = (start + frame).rstrip()
+        way_out = "Correct the policy, its factory or environment"
+        if not is_planner:
+            way_out += ", or append @planner to its name if it is a planner"
         raise RequestError(
             f"{name}: expected a policy that drives, received one with an error in each of the first {CHUNK} episodes, "
-            f"starting with seed {first}: {errors[0].text}\n{place}\nCorrect the policy, its factory or environment"
-            f"{'.' if is_planner else ', or append @planner to its name if it is a planner.'}"
+            f"starting with seed {first}: {errors[0].text}\n{place}\n{way_out}."
         )
     return episodes
 
@@ -185,55 +194,58 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         KeyboardInterrupt: if the user interrupts the command, after the results of the completed episodes are printed.
     """
     for name, least in (("episodes", 1), ("seed", 0)):
-        if (value := getattr(given, name)) < least:
+        value = getattr(given, name)
+        if value < least:
             raise RequestError(
                 f"--{name}: expected a whole number, at least {least}, received {value}"
             )
-    names = (given.ads, *given.against)
-    if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
-        raise RequestError(f"--against: expected each policy only once, received {twice!r} again")
-    limit, found = _limit_of(given), {name: list[Episode]() for name in names}
+    found: dict[str, list[Episode]] = {}
+    for name in (given.ads, *given.against):
+        if name in found:
+            raise RequestError(
+                f"--against: expected each policy only once, received {name!r} again"
+            )
+        found[name] = []
+    limit = _limit_of(given)
     environment_of(given)  # errors in the options must come before the first episode
-    tasks = [
-        (name, seed)
-        for seed in range(given.seed, given.seed + given.episodes, CHUNK)
-        for name in names
-    ]
+    # All policies drive a chunk before the next one starts, so an interrupted command can compare them.
+    seeds = range(given.seed, given.seed + given.episodes, CHUNK)
+    tasks = [(name, seed) for seed in seeds for name in found]
+    drive = partial(drive_task, given)
     started = told = time.monotonic()
-    done, total, interrupt = 0, given.episodes * len(names), None
+    done, total, interrupt = 0, given.episodes * len(found), None
     try:
-        for (name, _), episodes in run_tasks(
-            partial(drive_task, given), tasks, worker_count(given.workers)
-        ):
+        for (name, _), episodes in run_tasks(drive, tasks, worker_count(given.workers)):
             found[name] += episodes
-            done, now = done + len(episodes), time.monotonic()
+            done += len(episodes)
+            now = time.monotonic()
             if done == total or now - told > 10.0:  # a report every ten seconds
                 told, left = now, (now - started) * (total - done) / done
-                about = (
-                    f", about {left / 60:.0f} min left (Ctrl-C ends early)" if left >= 60.0 else ""
-                )
-                sys.stderr.write(f"rate: {done} of {total} episodes{about}\n")
+                line = f"rate: {done} of {total} episodes"
+                if left >= 60.0:
+                    line += f", about {left / 60:.0f} min left (Ctrl-C ends early)"
+                sys.stderr.write(f"{line}\n")
     except KeyboardInterrupt as interrupted:
         if not done:
             raise
         interrupt = interrupted  # report the completed episodes
-    rates = [Rate(name, tuple(sorted(found[name], key=lambda each: each.seed))) for name in names]
-    lines = []
-    for rate in rates:
+    rates, lines = [], []
+    for name, episodes in found.items():
+        rate = Rate(name, tuple(sorted(episodes, key=lambda each: each.seed)))
+        rates.append(rate)
         first, *others = rate.lines
-        hint = Policy(ads_factory(rate.ads)).loading_hint
-        lines += [
-            f"{rate.ads} in {given.world}: {first}",
-            *others,
-            *([f"  {hint}"] if hint else []),
-        ]
+        lines += [f"{name} in {given.world}: {first}", *others]
+        hint = Policy(ads_factory(name)).loading_hint
+        if hint:
+            lines.append(f"  {hint}")
     lines += compare_rates(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
-    sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width)))
+    for line in lines:
+        sys.stdout.writelines(f"{part}\n" for part in wrapped_to(line, width))
     if interrupt is not None:
         sys.stdout.flush()
         raise interrupt
-    objections = [*_objections(rates, limit)]
+    objections = list(_objections(rates, limit))
     sys.stderr.write("".join(f"rate: {visible(each)}\n" for each in objections))
     return int(bool(objections))
 
@@ -244,9 +256,11 @@ def _limit_of(given: argparse.Namespace) -> float | None:
     # Parse a proportion such as `2%` or `0.02`. With too few episodes, no crash rate is significantly above it.
     number, sign, rest = given.fail_above.strip().partition("%")
     try:
-        share = float(number) / (100 if sign else 1)
+        share = float(number)
     except ValueError:
         share = math.nan
+    if sign:
+        share /= 100
     if rest or not 0 <= share < 1:  # a rate is never above 1
         raise RequestError(
             f"--fail-above: expected at least 0 and less than 1, such as 2% or 0.02, received {given.fail_above!r}"
@@ -269,7 +283,8 @@ def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
             )
     if limit is not None:
         errors = sum(each.error is not None for each in rates[0].episodes)
-        low, _ = interval(len(rates[0].crashed), rates[0].driven)
+        crashes = len(rates[0].crashed)
+        low, _ = interval(crashes, rates[0].driven)
         if errors:
             yield f"--fail-above: expected episodes without an error, received {errors} with an error"
         elif low > limit:

@@ -83,7 +83,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     sys.stdout.write(f"{ascii_text(told)}\n")
     sys.stdout.flush()
     options = ["-mpafot_saved", flag("runs", 0), flag("corpus", CORPUS), *arguments.options]
-    options += [] if arguments.report is None else [flag("report", arguments.report)]
+    if arguments.report is not None:
+        options.append(flag("report", arguments.report))
     files = {
         TEST: text,
         "conftest.py": f"TEST, NAME, FILE = {(TEST, name, str(saved.path))!r}{CONFTEST}",

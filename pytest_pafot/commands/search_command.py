@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -134,8 +135,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search or, with ``--write-test``, write its test. Return the exit code."""
     name, test = written_test(arguments, "ADS")
     here = Path.cwd()
-    kept, found = (here / root / Path(TEST).stem / safe_name(name) for root in (CORPUS, FOUND))
-    if arguments.corpus is None and (link := link_below(here, kept) or link_below(here, found)):
+    folder = Path(Path(TEST).stem, safe_name(name))
+    kept = here / CORPUS / folder
+    found = here / FOUND / folder
+    link = link_below(here, kept) or link_below(here, found)
+    if arguments.corpus is None and link is not None:
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     if arguments.write_test:
         return _write_test(test, {file: kept / file.name for file in files_below(found)})
@@ -143,7 +147,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if against is not None:
         ads_factory(against, "--against")
         against = whole_name(against)
-    given = {option: getattr(arguments, option) for option in OWN}
+    given: dict[str, object] = {option: getattr(arguments, option) for option in OWN}
     has_test = os.path.isfile(TEST) and Path(TEST).read_bytes() == test.encode()  # noqa: PTH113  (see is_folder)
     # Absolute, because the tests are in another folder.
     corpus = here / (arguments.corpus or (CORPUS if has_test else FOUND))
@@ -152,18 +156,21 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
     # otherwise, the command `replay` does not find the file by its id
     if corpus.is_relative_to(here):
-        own = {name: getattr(arguments, name) for name in ("ads", "world", "config", "check")}
-        environ[OF_REPLAY] = shlex.join(
-            word for name in own if own[name] for word in (f"--{name}", own[name])
-        )
+        words = []
+        for name in ("ads", "world", "config", "check"):
+            value = getattr(arguments, name)
+            if value:
+                words += [f"--{name}", value]
+        environ[OF_REPLAY] = shlex.join(words)
     code = code_of_session({TEST: test}, [*options, *arguments.options, *arguments.pytest], environ)
     if code == TESTS_FAILED and not has_test and files_below(corpus / Path(TEST).stem):
-        own_words = command[: command.index("--")] if "--" in command else command
+        own_words = takewhile(lambda word: word != "--", command)
         again = shlex.join([*own_words, "--write-test"])
-        sys.stdout.write(
-            f"to keep this as a test, run {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n"
-        )
-    return BAD_USE if code == USAGE_ERROR else code
+        files = f"{TEST} and {arguments.corpus or CORPUS}/"
+        sys.stdout.write(f"to keep this as a test, run {again}, and commit {files}\n")
+    if code == USAGE_ERROR:
+        return BAD_USE
+    return code
 
 
 def code_of_session(
@@ -202,9 +209,11 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) ->
                     process.kill()
                     process.wait()
     code = taken_receipt(folder, left)
-    if code is None and left != STUCK:
+    if code is not None:
+        return code
+    if left != STUCK:
         raise ChildProcessError(unfinished(left))
-    return left if code is None else code
+    return left
 
 
 def _write_test(text: str, found: Mapping[Path, Path]) -> int:
@@ -238,38 +247,42 @@ def written_test(arguments: argparse.Namespace, option: str, world: str = "") ->
     ads_factory(arguments.ads, option)
     _check_module(arguments.ads, option)
     given = [f"ads={json.dumps(whole_name(arguments.ads))}"]
-    given += [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
+    name = "never_in_a_collision"
+    if arguments.blame != "any":
+        given.append(f'blame="{arguments.blame}"')
+        name = "never_at_fault_in_a_collision"
     of_world, imports = _world(arguments)
-    given += of_world or filter(None, [world])
-    given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
-    name = "never_at_fault_in_a_collision" if arguments.blame == "ego" else "never_in_a_collision"
+    given += filter(None, [of_world or world])
+    if arguments.traffic is not None:
+        given.append(f'traffic="{arguments.traffic}"')
     holds = "assert not run.collision, run.explain()"
     if arguments.check is not None:
         check_function(arguments.check)
         name = arguments.check.partition(":")[2]
         holds, imports = "return holds(run)", imports + _import(arguments.check, "--check")
-    name = name if name.startswith("test") else f"test_{name}"
-    mark = f"@pafot.search({', '.join(given)})"
-    return (
-        name,
-        f"import pytest_pafot as pafot\n{imports}\n\n{mark}\ndef {name}(run):\n    {holds}\n",
-    )
+    if not name.startswith("test"):
+        name = f"test_{name}"
+    function = f"@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
+    return name, f"import pytest_pafot as pafot\n{imports}\n\n{function}"
 
 
-def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
-    config, is_planner = config_of(arguments.config), arguments.ads.endswith(PLANNER)
+def _world(arguments: argparse.Namespace) -> tuple[str, str]:
+    # The mark's argument for the world, and the import that it needs. Both may be empty.
+    is_planner = arguments.ads.endswith(PLANNER)
     world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
     if world is None:
-        return [], ""
+        return "", ""
     module, _, name = arguments.world.partition(":")
     if name and getattr(world, "env_id", "") != name:
         _check_module(arguments.world, "--world")
-        return [f"world={json.dumps(arguments.world)}"], ""
-    of_config = "" if config is None else f", config={config!r}"
-    of_planner = "" if world.planner_hz is None else f", planner_hz={world.planner_hz}"
-    return [
-        f"world=pafot.World({world.env_id!r}{of_config}{of_planner})"
-    ], f"import {module}\n" if name else ""
+        return f"world={json.dumps(arguments.world)}", ""
+    given = repr(world.env_id)
+    config = config_of(arguments.config)
+    if config is not None:
+        given += f", config={config!r}"
+    if world.planner_hz is not None:
+        given += f", planner_hz={world.planner_hz}"
+    return f"world=pafot.World({given})", f"import {module}\n" if name else ""
 
 
 def _check_module(reference: str, option: str) -> None:

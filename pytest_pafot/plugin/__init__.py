@@ -9,7 +9,6 @@ import os
 import sys
 import warnings
 from collections.abc import Generator, Mapping
-from datetime import date
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
@@ -76,9 +75,10 @@ def pytest_configure(config: pytest.Config) -> None:
         f"{SAVED_MARK}(saved): replay a saved scenario (set by the plugin)",
     ):
         config.addinivalue_line("markers", line)
-    config.stash[SESSION] = Session()
+    record = config.stash[SESSION] = Session()
     corpus = config.getoption(BY_NAME["corpus"].key)
-    config.stash[SESSION].options += [] if corpus is None else [flag("corpus", corpus)]
+    if corpus is not None:
+        record.options.append(flag("corpus", corpus))
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
         from pytest_pafot.plugin.distributed import KEY, Worker  # noqa: PLC0415
@@ -87,12 +87,10 @@ def pytest_configure(config: pytest.Config) -> None:
         features["worker"] = Worker()
     else:
         shared = config.stash[SHARED] = Shared()
-        if asked := config.getoption(BY_NAME["today"].key):
-            if is_ci(os.environ):  # a CI script may keep an old day for years
-                config.stash[SESSION].warnings.extend(
-                    stale_day(asked, date.fromisoformat(shared.today))
-                )
-            shared.today = asked
+        asked = config.getoption(BY_NAME["today"].key)
+        if asked and is_ci(os.environ):  # a CI script may keep an old day for years
+            record.warnings += stale_day(asked, shared.day)
+        shared.today = asked or shared.today
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
         if cause_of(config):  # even if no marked test is left to register it
@@ -104,7 +102,8 @@ def pytest_configure(config: pytest.Config) -> None:
         features["header"] = Header()
     _register(config, features)
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
-    if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
+    values = [config.getoption(option.key) for option in OPTIONS]
+    if is_parallel or any(value is not None for value in values):
         _report(config)
     # last, so that it merges the data of ended workers before the reports are written
     if is_parallel:
@@ -138,8 +137,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if not is_marked or config.getoption("collectonly"):
         # these plugins import the simulation, which would slow down an editor that only lists tests
         return
-    from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
-    from pytest_pafot.plugin.messages import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.item import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.search_item import Checks, Execution  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     end_in_order(config)
@@ -218,13 +217,12 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     def simulate(
         scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None
     ) -> Run:
-        world = pafot_world if world is None else world
         end = ""
         try:
-            run = drive_once(world, scenario, ads_factory)
+            run = drive_once(world or pafot_world, scenario, ads_factory)
         except ProcessLostError as lost:
             end = lost.advice
-        if end:
+        if end:  # outside of the handler, so that the failure has no context
             pytest.fail(end, pytrace=False)
         failure = ads_failure(run)
         # Such a run is short, and would pass most assertions that something did not happen.

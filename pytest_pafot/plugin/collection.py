@@ -10,7 +10,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from datetime import date
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
@@ -72,47 +71,43 @@ def _may_be_decorated(target: object) -> bool:
     if inspect.isclass(target):
         # if not imported, there is no vehicle class
         kinematics = sys.modules.get("highway_env.vehicle.kinematics")
-        is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
-        return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
+        if kinematics is not None and issubclass(target, kinematics.Vehicle):
+            return False
+        return not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
         return False
     return target.__name__.startswith("test") or RUN in inspect.signature(target).parameters
 
 
-def _check_name(target: object) -> None:
+def _decorate(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     if getattr(target, "__name__", "<lambda>") == "<lambda>":
         raise TypeError(
             f"expected a test function or a test class, received {target!r}. pytest does not collect objects "
             f"without a name. Write a function `def test_...({RUN})` that calls this object, and decorate that function"
         )
-
-
-def _decorate(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
-    _check_name(target)
-    if (module := sys.modules.get(target.__module__)) is not None:
+    module = sys.modules.get(target.__module__)
+    if module is not None:
         MARKED.setdefault(module, []).append(target)
     given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
     names = [each for each in given if isinstance(each, str) and each and ":" not in each]
-    fixtures = [WORLD_FIXTURE, *names]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
-    target = pytest.mark.usefixtures(*fixtures)(target)
+    target = pytest.mark.usefixtures(WORLD_FIXTURE, *names)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
     return getattr(pytest.mark, ANY_MARK)(target)
 
 
-def is_driven(item: pytest.Item) -> bool:
+def is_driven(item: pytest.Item | pytest.Collector) -> bool:
     """Return whether an item is a search or a replay."""
     return item.get_closest_marker(SEARCH_MARK) is not None
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
     """Return the merged arguments of an item's search marks, or None if it has no such mark."""
-    marks = list(item.iter_markers(SEARCH_MARK))
-    if not marks:
+    if not is_driven(item):
         return None
     merged: dict[str, Any] = {}
     # The mark that is closest to the function comes first, and takes precedence.
-    for mark in reversed(marks):
+    for mark in reversed(list(item.iter_markers(SEARCH_MARK))):
         merged.update(mark.kwargs)
         if mark.args:
             merged[POSITIONAL] = mark.args
@@ -138,10 +133,10 @@ def saved_part(id_: str) -> str:
 
 def base_name(item: pytest.Item) -> str:
     """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
-    mark = item.get_closest_marker(SAVED_MARK)
-    name = layout.name_without(
-        layout.SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name
-    )
+    part, mark = layout.SEARCH_PART, item.get_closest_marker(SAVED_MARK)
+    if mark is not None:
+        part = saved_part(mark.args[0].id)
+    name = layout.name_without(part, item.name)
     # All repetitions of a test have the same saved scenarios, so their numbers are not part of the base name.
     for part in re.findall(rf"(?<=[\[-]){REPEAT}\d+(?=[\]-])", name):
         name = layout.name_without(part, name)
@@ -170,13 +165,17 @@ def qualified_name(item: pytest.Item) -> str:
 
 
 def _node_id(item: pytest.Item, name: str) -> str:
-    return name if item.parent is None else f"{item.parent.nodeid}::{name}"
+    if item.parent is None:
+        return name
+    return f"{item.parent.nodeid}::{name}"
 
 
 def renamed(text: str, id_: str) -> str:
     """Return the name of the item that replays a saved scenario, given the name of its search."""
     parts = layout.around(layout.SEARCH_PART, text)
-    return text if parts is None else saved_part(id_).join(parts)
+    if parts is None:
+        return text
+    return saved_part(id_).join(parts)
 
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
@@ -193,28 +192,30 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
 
     Return the corpus files, and the test files that were added.
     """
-    folders = {
-        arg: layout.files_below(path_of(config, arg))
-        for arg in config.args
-        if _is_in_corpus(config, arg)
-    }
-    given = [arg for arg in config.args if arg.endswith(layout.SUFFIX) or folders.get(arg)]
-    if not given:
-        return set(), set()
-    # A test file that is also on the command line is collected with all its tests.
-    others = [path_of(config, arg).resolve() for arg in config.args if arg not in given]
-    paths = [
-        path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]
-    ]
+    given: dict[str, list[Path]] = {}
+    others = []
+    for arg in config.args:
+        paths = []
+        if _is_in_corpus(config, arg):
+            paths = layout.files_below(path_of(config, arg))
+        if arg.endswith(layout.SUFFIX):
+            paths = paths or [config.invocation_params.dir / arg]
+        if paths:
+            given[arg] = paths
+        else:
+            others.append(path_of(config, arg).resolve())
     # not resolved: a link has its own item
-    files = [path.parent.resolve() / path.name for path in paths]
+    files = [path.parent.resolve() / path.name for paths in given.values() for path in paths]
     modules = dict.fromkeys(_module_of(file, config) for file in files)
+    # A test file that is also on the command line is collected with all its tests.
     added = [
         module
         for module in modules
-        if not any(other in (module, *module.parents) for other in others)
+        if not any(each in (module, *module.parents) for each in others)
     ]
-    config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]
+    if given:
+        rest = [arg for arg in config.args if arg not in given]
+        config.args[:] = [*rest, *map(str, added)]
     return set(files), set(added)
 
 
@@ -224,23 +225,22 @@ class Collection:
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._rootpath = config.rootpath
-        call, is_given = call_of(config), config.args_source is pytest.Config.ArgsSource.ARGS
-        # pytest has replaced it with the arguments in that file
-        is_listed = any(arg.startswith("@") for arg in call)
-        config.stash[GIVEN] = [
-            arg for arg in config.args if is_given and (is_listed or arg in call)
-        ]
-        here = config.invocation_params.dir
-        if (
-            config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR
-            and here != config.rootpath
-        ):
+        call, here = call_of(config), config.invocation_params.dir
+        given: list[str] = []
+        if config.args_source is pytest.Config.ArgsSource.ARGS:
+            # pytest has replaced it with the arguments in that file
+            is_listed = any(arg.startswith("@") for arg in call)
+            given = [arg for arg in config.args if is_listed or arg in call]
+        is_here = config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR
+        if is_here and here != config.rootpath:
             # pytest collects only the folder in which it was called
-            config.stash[GIVEN] = [str(here)]
+            given = [str(here)]
+        config.stash[GIVEN] = given
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
-        self._inventory = config.stash[INVENTORY] = Inventory(set(), set(), set(), set())
+        self._inventory = Inventory(set(), set(), set(), set())
+        config.stash[INVENTORY] = self._inventory
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore all files in a corpus, even those named like test files."""
@@ -252,9 +252,8 @@ class Collection:
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
         corpus = Path(self._corpus_name or "")
-        return (
-            bool(corpus.name) and layout.is_corpus(folder, corpus) and folder not in self._asked_for
-        )
+        is_corpus = bool(corpus.name) and layout.is_corpus(folder, corpus)
+        return is_corpus and folder not in self._asked_for
 
     @cached_property
     def _corpus_name(self) -> str | None:
@@ -262,14 +261,14 @@ class Collection:
 
     @cached_property
     def _asked_for(self) -> set[Path]:
-        given = (path_of(self._config, arg) for arg in self._config.args)
-        folders = [self._rootpath, *(path for path in given if path.is_dir())]
+        given = [path_of(self._config, arg) for arg in self._config.args]
+        folders = [self._rootpath, *filter(Path.is_dir, given)]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Generator[None]:
         """Parametrise a marked test function with its search and with the saved scenarios that may belong to it."""
-        if arguments_of(metafunc.definition) is None:
+        if not is_driven(metafunc.definition):
             return (yield)
         parametrize = metafunc.parametrize
 
@@ -288,13 +287,11 @@ class Collection:
         if RUN not in metafunc.fixturenames or is_parametrised(metafunc, RUN):
             return  # Only one item is left. It reports the error during its set-up.
         # The values differ, because other tools distinguish items by them. Nothing else reads them.
-        saved = [
-            pytest.param(
-                part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)]
-            )
-            for each in self._saved_by_id(metafunc.definition)
-        ]
-        parametrize(RUN, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
+        values = [pytest.param(SEARCH, id=layout.SEARCH_PART)]
+        for saved in self._saved_by_id(metafunc.definition):
+            part, mark = saved_part(saved.id), getattr(pytest.mark, SAVED_MARK)(saved)
+            values.append(pytest.param(part, id=part, marks=[mark]))
+        parametrize(RUN, values)
 
     def _saved_by_id(self, definition: pytest.Item) -> Iterable[Saved]:
         corpus = self._corpus_name
@@ -314,7 +311,8 @@ class Collection:
 
                 read = saved_in(folder) if link is None else refused_in(folder, link)
                 self._saved[folder] = {saved.path.name: saved for saved in read}
-            found |= {saved.id: saved for saved in self._saved[folder].values()}
+            for saved in self._saved[folder].values():
+                found[saved.id] = saved
         return found.values()
 
     @pytest.hookimpl(wrapper=True)
@@ -326,7 +324,7 @@ class Collection:
         return [item for item in made if self._belongs(item)]
 
     def _belongs(self, item: pytest.Item) -> bool:
-        if arguments_of(item) is None:
+        if not is_driven(item):
             return True
         corpus, folder = self._corpus_name, None
         if corpus is not None:
@@ -335,20 +333,21 @@ class Collection:
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
-        saved = None if folder is None else self._saved.get(folder, {}).get(mark.args[0].path.name)
+        saved = None
+        if folder is not None:
+            known = self._saved.get(folder, {})
+            saved = known.get(mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
+        # a new file is dropped, since pytest-xdist ends a session whose workers differ in their items
         if saved is None or (frozen is not None and item.nodeid not in frozen):
-            # a new file is dropped, since pytest-xdist ends a session whose workers differ in their
-            # items
             return False
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
-        if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
+        if saved.is_accepted(self._config.stash[SHARED].day):
             from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
 
-            item.add_marker(
-                pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False
-            )
+            accepted = pytest.mark.xfail(strict=True, reason=visible(saved.xfail or ""))
+            item.add_marker(accepted, append=False)
         return True
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -359,20 +358,16 @@ class Collection:
         if MARKED and not self._config.getoption("lf", False):
             self._inventory.unnamed.update(marked_and_left(self._config, items))
         # Items are dropped before other plugins select tests, and again after that.
-        self._deselect(items, self._is_beside_given)
+        self._deselect(items, {item for item in items if self._is_beside_given(item)})
         yield
         # Under --lf, a search need not run again if its findings have become items in the meantime.
-        if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
-            failed = self._config.cache.get("cache/lastfailed", {})
-            known = {
-                base_id(item)
-                for item in items
-                if saved_of(item) is not None and item.nodeid in failed
-            }
-            self._deselect(
-                items,
-                lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known,
-            )
+        cache = getattr(self._config, "cache", None)
+        if self._config.getoption("lf", False) and cache is not None:
+            lasting = cache.get("cache/lastfailed", {})
+            failed = [item for item in items if item.nodeid in lasting]
+            known = {base_id(item) for item in failed if saved_of(item) is not None}
+            searches = {item for item in failed if is_search(item)}
+            self._deselect(items, {item for item in searches if base_id(item) in known})
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
         # pytest-testmon also passes the names of tests.
@@ -386,46 +381,41 @@ class Collection:
             )
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
+        if item.path not in self._modules_for_them:
+            return False
         saved = saved_of(item)
-        return item.path in self._modules_for_them and (
-            saved is None or saved.path not in self._given_files
-        )
+        return saved is None or saved.path not in self._given_files
 
-    def _deselect(
-        self, items: list[pytest.Item], is_dropped: Callable[[pytest.Item], bool]
-    ) -> None:
-        dropped = list(filter(is_dropped, items))
+    def _deselect(self, items: list[pytest.Item], dropped: set[pytest.Item]) -> None:
         if dropped:
-            self._config.hook.pytest_deselected(items=dropped)
-            gone = set(dropped)
-            items[:] = [item for item in items if item not in gone]
+            gone = [item for item in items if item in dropped]
+            self._config.hook.pytest_deselected(items=gone)
+            items[:] = [item for item in items if item not in dropped]
 
     def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> list[str]:
         """Return lines with the numbers of searches, saved scenarios and runs."""
-        searches = sum(map(is_search, items))
+        searches = [item for item in items if is_search(item)]
         saved = sum(saved_of(item) is not None for item in items)
         if not searches and not saved:
             return []
-        counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
+        found = "1 search" if len(searches) == 1 else f"{len(searches)} searches"
+        scenarios = "1 saved scenario" if saved == 1 else f"{saved} saved scenarios"
+        parts = [f"pafot: {found}, {scenarios}", base_line(self._config)]
         # pytest rewrites the assertions of test files, conftest.py and plugins, so these assertions still run.
-        off = (
-            ""
-            if __debug__
-            else "with python -O, Python skips assertions in modules that pytest does not rewrite"
-        )
-        first = "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
-        cost = cost_line(
-            self._config, [arguments_of(item) or {} for item in items if is_search(item)]
-        )
-        return [first, *([cost] if cost else [])]
+        if not __debug__:
+            parts.append(
+                "with python -O, Python skips assertions in modules that pytest does not rewrite"
+            )
+        lines = ["; ".join(filter(None, parts))]
+        cost = cost_line(self._config, [arguments_of(item) or {} for item in searches])
+        if cost:
+            lines.append(cost)
+        return lines
 
 
 def is_search(item: pytest.Item) -> bool:
     """Return whether an item is a search, not a replay."""
-    return (
-        item.get_closest_marker(SEARCH_MARK) is not None
-        and item.get_closest_marker(SAVED_MARK) is None
-    )
+    return is_driven(item) and item.get_closest_marker(SAVED_MARK) is None
 
 
 def saved_of(item: pytest.Item) -> Saved | None:
@@ -435,16 +425,17 @@ def saved_of(item: pytest.Item) -> Saved | None:
         return None
     from pytest_pafot.corpus.reader import Saved  # noqa: PLC0415  (few sessions have one)
 
-    return mark.args[0] if mark.args and isinstance(mark.args[0], Saved) else None
+    saved = next(iter(mark.args), None)
+    return saved if isinstance(saved, Saved) else None
 
 
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
     """Return whether the user has parametrised a test function with an argument."""
     for mark in metafunc.definition.iter_markers("parametrize"):
-        names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
-        if arg in (
-            [name.strip() for name in names.split(",")] if isinstance(names, str) else names
-        ):
+        names, *_ = *mark.args, mark.kwargs.get("argnames", ())
+        if isinstance(names, str):
+            names = [name.strip() for name in names.split(",")]
+        if arg in names:
             return True
     return False
 
@@ -454,7 +445,8 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
     # Decorators wrap functions, so follow __wrapped__ to the function that was marked.
     run: set[int] = set()
     for item in items:
-        run |= {id(each) for each in getattr(getattr(item, "cls", None), "__mro__", ())}
+        cls = getattr(item, "cls", None)
+        run.update(map(id, getattr(cls, "__mro__", ())))
         function = getattr(item, "function", None)
         while function is not None:
             run.add(id(function))
@@ -462,27 +454,25 @@ def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iter
     asked = [path_of(config, each) for each in config.args if "::" not in each]
     for module, marked in list(MARKED.items()):
         file = Path(getattr(module, "__file__", None) or os.devnull)
-        is_asked_for = any(map(file.is_relative_to, asked)) and file.is_relative_to(config.rootpath)
-        if (
-            sys.modules.get(module.__name__) is not module
-            or not is_asked_for
-            or "site-packages" in file.parts
-        ):
+        is_current = sys.modules.get(module.__name__) is module
+        is_ours = file.is_relative_to(config.rootpath) and "site-packages" not in file.parts
+        if not (is_current and is_ours and any(map(file.is_relative_to, asked))):
             continue
         for each in marked:
             name = each.__qualname__
             owner = getattr(module, name.partition(".")[0], None)
             # A class with subclasses is probably a base class, and __test__ = False excludes a class on purpose.
             is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
-            is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
-            if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
+            is_on = getattr(each, "__test__", True) and getattr(owner, "__test__", True)
+            if id(each) not in run and "<locals>" not in name and is_on and not is_base:
                 yield f"{layout.relative(file, config.rootpath)}::{name.replace('.', '::')}"
 
 
 def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
     path = path_of(config, arg)
-    names = path.relative_to(config.rootpath).parts if path.is_relative_to(config.rootpath) else ()
-    return layout.CORPUS in names and path.is_dir()
+    if not path.is_relative_to(config.rootpath):
+        return False
+    return layout.CORPUS in path.relative_to(config.rootpath).parts and path.is_dir()
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:
@@ -494,9 +484,12 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
             f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist"
         )
     corpus = value_if_right(config, "corpus")
-    module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
+    module, where = None, "its folder is not in a corpus"
+    if corpus is not None:
+        module = layout.module_of_file(file, corpus, config.rootpath)
+    if module is not None:
+        where = f"{module} does not exist"
     if module is None or not module.is_file():
-        where = "its folder is not in a corpus" if module is None else f"{module} does not exist"
         problem = f"{file}: expected a saved scenario of a test file, but {where}"
         again = command("pytest_pafot", "replay", "FILE", "--ads", "module:Class")
         fix = f"Move the folder to the corpus of the test, or replay the file without a test: `{again}`"

@@ -37,7 +37,8 @@ class Controller:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
-        if controller := session.config.pluginmanager.get_plugin("dsession"):
+        controller = session.config.pluginmanager.get_plugin("dsession")
+        if controller is not None:
             # An interrupt between taking an event and handling it would lose the event.
             controller.queue = _KeptEvents()
 
@@ -71,8 +72,10 @@ class Controller:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Report the results that an interrupted controller has received but not yet handled."""
         # All workers have ended by now, so no more events come.
-        waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
-        for event, data in () if waiting is None else tuple(waiting.queue):
+        controller = session.config.pluginmanager.get_plugin("dsession")
+        if controller is None:
+            return
+        for event, data in tuple(controller.queue.queue):
             if event == "testreport" and data["rep"] is not self._last:
                 session.config.hook.pytest_runtest_logreport(report=data["rep"])
 

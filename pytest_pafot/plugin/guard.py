@@ -30,24 +30,22 @@ from pytest_pafot.corpus.layout import (
     refusal,
     relative,
 )
-from pytest_pafot.corpus.layout import (
-    is_inside as is_inside_project,
-)
+from pytest_pafot.corpus.layout import is_inside as is_inside_project
 from pytest_pafot.plugin.session import (
     GIVEN,
     INVENTORY,
     SESSION,
     call_of,
     cause_of,
-    first,
     path_of,
     value_if_right,
 )
 from pytest_pafot.report.session import ADVICE, UNNAMED_ADVICE
 from pytest_pafot.searches.options import BY_NAME, OF_COMMAND
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import plural, visible
+from pytest_pafot.support.text import first_of, plural, visible
 
+LISTED = 5  # the maximum number of names in a line
 MAX_FOLDERS = 10_000  # the maximum number of folders to search for saved scenarios
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error about saved scenarios that did not run."""
@@ -123,19 +121,16 @@ class Guard:
         why = f"This is an error because {self.cause}"
         unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
-            counted = f"pytest did not collect {plural(len(unnamed), 'test')} with a pafot mark: {first(unnamed)}"
-            _report(session, UNNAMED_ID, counted, f"{UNNAMED_ADVICE}. {why}")
+            count = plural(len(unnamed), "test")
+            line = f"pytest did not collect {count} with a pafot mark: {first_of(unnamed, LISTED)}"
+            _report(session, UNNAMED_ID, line, f"{UNNAMED_ADVICE}. {why}")
         self._note_left()
-        if fails := self._session.fails:
-            counted = (
-                f"this session did not run {plural(len(fails), 'saved scenario')}: {first(fails)}"
-            )
-            _report(
-                session,
-                ERROR_ID,
-                counted,
-                f"{ADVICE}. {why}. To run only some of them, add {BY_NAME['allow_orphans'].flag}",
-            )
+        fails = self._session.fails
+        if fails:
+            count = plural(len(fails), "saved scenario")
+            line = f"this session did not run {count}: {first_of(fails, LISTED)}"
+            way_out = f"To run only some of them, add {BY_NAME['allow_orphans'].flag}"
+            _report(session, ERROR_ID, line, f"{ADVICE}. {why}. {way_out}")
         return result
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
@@ -145,21 +140,20 @@ class Guard:
         if not self._is_whole and session.exitstatus in ENDS:
             with self._session.faults("pafot: saved scenarios that were not run are unknown"):
                 self._note_left()
-        unended = sorted(inventory.driven - self._ended)
-        # If the session runs no policy, its hooks may hide failures of tests.
-        is_meant = inventory.driven or inventory.unnamed or self._session.left
-        named = unended or (sorted(self._failed) if is_meant else [])
-        if (
-            not self.cause
-            or session.exitstatus != pytest.ExitCode.OK
-            or not named
-            or _only_lists(self._config)
-        ):
+        is_ok = session.exitstatus == pytest.ExitCode.OK
+        if not (is_ok and self.cause) or _only_lists(self._config):
             return
-        what = "did not finish" if unended else "failed"
-        session.exitstatus = (
-            pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
-        )
+        named = sorted(inventory.driven - self._ended)
+        if named:
+            what = "did not finish"
+            session.exitstatus = pytest.ExitCode.INTERRUPTED
+        # If the session runs no policy, its hooks may hide failures of tests.
+        elif self._failed and (inventory.driven or inventory.unnamed or self._session.left):
+            named = sorted(self._failed)
+            what = "failed"
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        else:
+            return
         self._session.problems.append(
             f"{plural(len(named), 'item')} {what} (first: {named[0]}), but the session would end with exit code 0. "
             f"Because {self.cause}, it ends with exit code {int(session.exitstatus)} instead. Does a test call "
@@ -170,36 +164,32 @@ class Guard:
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
             return  # The command runs one test. It does not collect the other tests of the project.
-        left = [pair for pair in sorted(self._left_out()) if not self._is_excluded(*pair)]
-        values = (config.getoption(name, None) for name in _SELECTING)
+        left = []
+        for file, test in sorted(self._left_out()):
+            if not self._is_excluded(file, test):
+                left.append(visible(relative(file, config.rootpath)))
+        self._session.left = left
+        values = [config.getoption(name, None) for name in _SELECTING]
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
-        may_fail = (
-            self._is_whole
-            and self.cause
-            and not is_partial
-            and not value_if_right(config, "allow_orphans")
-        )
-        names = [visible(relative(file, config.rootpath)) for file, _ in left]
-        self._session.left, self._session.fails = names, names if may_fail else []
+        may_fail = self._is_whole and not is_partial and not value_if_right(config, "allow_orphans")
+        if self.cause and may_fail:
+            self._session.fails = left
 
     def _is_excluded(self, *paths: Path) -> bool:
-        config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
-        patterns = [
-            each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()
-        ]
-        ignored = [
-            str(path_of(config, each))
-            for each in patterns
-            if any(f"={argument}".endswith(f"={each}") for argument in call)
-        ]
+        config, given = self._config, self._config.stash[GIVEN]
         places = {str(each) for path in paths for each in (path, *path.parents)}
-        if any(each in places or fnmatch.filter(places, each) for each in ignored):
-            return True
+        call = [f"={argument}" for argument in call_of(config)]
+        patterns = [*(config.getoption("ignore") or ()), *(config.getoption("ignore_glob") or ())]
+        for pattern in patterns:
+            if any(argument.endswith(f"={pattern}") for argument in call):
+                ignored = str(path_of(config, pattern))
+                if ignored in places or fnmatch.filter(places, ignored):
+                    return True
+        if not given:
+            return False
         # A file or a test on the command line excludes everything else. A folder requests all saved scenarios in it.
-        folders = [folder for each in given if is_folder(folder := path_of(config, each))]
-        return bool(given) and not any(
-            path.is_relative_to(folder) for folder in folders for path in paths
-        )
+        folders = filter(is_folder, [path_of(config, each) for each in given])
+        return not any(path.is_relative_to(folder) for folder in folders for path in paths)
 
     def _left_out(self) -> Iterator[tuple[Path, Path]]:
         """Yield each saved scenario that was neither run nor deselected by name, with its test file.
@@ -208,17 +198,17 @@ class Guard:
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
-        # reported later
-        known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}
-        known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
+        known = set(self._run)
+        for seen in self._session.seen.values():
+            if seen.observed.new:  # It is reported later.
+                known.add(seen.path)
+        if any(map(_BY_NAME.match, call_of(self._config))):
+            known |= inventory.deselected
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
-        asked = [
-            each
-            for each in (path_of(self._config, each) for each in self._config.args)
-            if is_folder(each)
-        ]
+        asked = list(filter(is_folder, [path_of(self._config, each) for each in self._config.args]))
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
-        own += [corpus] if corpus.is_absolute() else []
+        if corpus.is_absolute():
+            own.append(corpus)
         problems = self._session.problems if inventory.driven else []
         # Second, find all files of the project that may be saved scenarios, and whether they are in a corpus.
         found = dict(_files_below(top, own, asked, corpus, problems))
@@ -231,46 +221,45 @@ class Guard:
         }
         # Third, drop copies of scenarios that were run, and files that belong to other projects.
         names = {name_within(file.name) or file.name for file in left}
-        copies = {
-            (Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names
-        }
+        run = [top / each for each in known if Path(each).name in names]
+        copies = {(file.name, _named_test(file)) for file in run}
         for file, is_inside in left.items():
             test = _named_test(file)
             name = test.partition("::")[0]
-            is_named = file.name.endswith(SUFFIX) or (
-                test and (is_misnamed(file.name) or name_within(file.name))
-            )
-            if is_inside:  # git may write a link to a folder as a text file
-                packed = _ARCHIVE.fullmatch(file.name)
-                is_text = "." not in file.name and file.name.startswith((CORPUS, "test"))
-                is_ours = packed is not None and (
-                    SUFFIX in packed[1] or packed[1].startswith((CORPUS, "test"))
-                )
-                is_packed = (
-                    packed is not None
-                    and is_ours
-                    and not os.path.lexists(file.with_name(packed[1]))
-                )
-                is_saved = is_named or is_text or is_packed or not os.path.isfile(file)  # noqa: PTH113  (see is_folder)
-            else:
-                is_saved = is_named and test and os.path.lexists(top / name)
+            original = name_within(file.name)
+            is_copy = original != "" or is_misnamed(file.name)
+            is_saved = file.name.endswith(SUFFIX) or (is_copy and test != "")
+            if not is_inside:
+                is_saved = is_saved and test != "" and os.path.lexists(top / name)
+            elif not is_saved:
+                is_saved = _may_be_packed(file)
             # In a corpus of the session, only a backup is a copy, because the folder determines the test of a file.
-            may_be_copy = name_within(file.name) or not any(map(file.is_relative_to, own))
-            if not is_saved or (
-                may_be_copy and (name_within(file.name) or file.name, test) in copies
-            ):
+            may_be_copy = original or not any(map(file.is_relative_to, own))
+            if not is_saved or (may_be_copy and (original or file.name, test) in copies):
                 continue
-            owner = (
-                module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
-            )
+            owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top)
+            owner = owner or file
             # The rootdir of the session that saved the file, which the name of the test implies. Vendored projects have
             # their own.
             project = next((each for each in owner.parents if name and each / name == owner), top)
-            is_asked_for = project == top or any(
-                each.is_relative_to(project) for each in (*own, *asked)
-            )
-            if is_asked_for or not any(os.path.lexists(project / each) for each in _CONFIGURED):
+            is_asked_for = any(each.is_relative_to(project) for each in (*own, *asked))
+            is_foreign = any(os.path.lexists(project / each) for each in _CONFIGURED)
+            if project == top or is_asked_for or not is_foreign:
                 yield file, owner
+
+
+def _may_be_packed(file: Path) -> bool:
+    """Return whether a file in a corpus may contain saved scenarios, although its name is not the name of one."""
+    # git may write a link to a folder as a text file
+    if not os.path.isfile(file):  # noqa: PTH113  (see is_folder)
+        return True
+    starts = (CORPUS, "test")
+    if "." not in file.name:
+        return file.name.startswith(starts)
+    packed = _ARCHIVE.fullmatch(file.name)
+    if packed is None or not (SUFFIX in packed[1] or packed[1].startswith(starts)):
+        return False
+    return not os.path.lexists(file.with_name(packed[1]))
 
 
 def _files_below(
@@ -282,9 +271,8 @@ def _files_below(
     """
     # Links to folders are not followed, because they may lead anywhere. If a folder of a corpus cannot be listed, the
     # folder itself is yielded.
-    queue = deque(
-        [*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)]
-    )
+    queue = deque((str(each), False) for each in (top, *asked))
+    queue.extend((str(each), True) for each in own)
     starts, names = set(queue), {CORPUS, corpus.name}
     seen: set[tuple[str, bool]] = set()
     while queue and len(seen) < MAX_FOLDERS:
@@ -300,18 +288,14 @@ def _files_below(
             if is_inside and os.path.lexists(folder):
                 yield Path(folder), True
             continue
-        if (
-            not is_inside
-            and place not in starts
-            and not _SEPARATE.isdisjoint([entry.name for entry in entries])
-        ):
+        is_separate = not _SEPARATE.isdisjoint([entry.name for entry in entries])
+        if is_separate and not is_inside and place not in starts:
             continue
         for entry in entries:
             name, path = entry.name, entry.path
             if entry.is_dir(follow_symlinks=False):
-                is_below = (
-                    is_inside or name == CORPUS or (name in names and is_corpus(Path(path), corpus))
-                )
+                is_chosen = name in names and is_corpus(Path(path), corpus)
+                is_below = is_inside or name == CORPUS or is_chosen
                 if is_below or name not in _FOREIGN:
                     queue.append((path, is_below))
             elif is_inside or "pafot" in name.lower():
@@ -338,17 +322,17 @@ def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
     with suppress(RequestError):  # no git
         for entry in git(top, "ls-files", "-s", "-z").split("\0"):
             place = top / entry.partition("\t")[2]
+            # the mode of a submodule
             if entry.startswith("160000 ") and (
                 place.name == CORPUS or corpus.is_relative_to(place)
             ):
                 if not entries_of(place):
                     yield place
-            elif (
-                entry.endswith(SUFFIX)
-                and len(place.parents) > 2
-                and not os.path.lexists(root := place.parents[2])
-            ):
-                yield from [place] if root.name == CORPUS or is_corpus(root, corpus) else []
+            elif entry.endswith(SUFFIX) and len(place.parents) > 2:
+                root = place.parents[2]
+                is_root = root.name == CORPUS or is_corpus(root, corpus)
+                if is_root and not os.path.lexists(root):
+                    yield place
 
 
 def _named_test(file: Path) -> str:
@@ -360,7 +344,9 @@ def _named_test(file: Path) -> str:
         line = _TEST_LINE.search(content_of(file))
     except CorpusError:
         return ""
-    return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
+    if line is None:
+        return ""
+    return line.group(1).decode("utf-8", "replace").strip("'\"")
 
 
 def _only_lists(config: pytest.Config) -> bool:
@@ -372,9 +358,9 @@ def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> No
         pytest.fail(f"{line}\n  {advice}", pytrace=False)
     except pytest.fail.Exception as error:
         longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
-        crash = getattr(longrepr, "reprcrash", None)
-        if crash is not None:
-            crash.message = line  # in the short summary
+    crash = getattr(longrepr, "reprcrash", None)
+    if crash is not None:
+        crash.message = line  # in the short summary
     manager = session.config.pluginmanager
     # Do not inform --lf and --sw: they would wait for an item of this name, which the next session does not collect.
     rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]

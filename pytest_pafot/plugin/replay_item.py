@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
-from datetime import date
 from typing import Any
 
 import pytest
@@ -17,9 +15,18 @@ from pytest_pafot.findings.finding import SAME_TIME, Finding, is_same_failure, u
 from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin import collection, messages
-from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, set_properties
-from pytest_pafot.plugin.search_item import exception_for_pytest, harness_of, watch_again
+from pytest_pafot.plugin.collection import base_id
+from pytest_pafot.plugin.item import (
+    NOT_ACCEPTED,
+    OF_ONE_RUN,
+    REPLAYED,
+    exception_for_pytest,
+    harness_of,
+    send,
+    send_seen,
+    set_properties,
+    watch_again,
+)
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.searches.events import Note
 from pytest_pafot.searches.harness import Cause, SetupFaultError, cause_of, headline
@@ -43,7 +50,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request, writes=False)
-    replays = Replays(harness=harness, today=date.fromisoformat(item.config.stash[SHARED].today))
+    replays = Replays(harness=harness, today=item.config.stash[SHARED].day)
     watch_again(item, is_elsewhere=replays.is_apart(saved, item.nodeid))
     if request.settings.debug:
         stop_in_replay(item, replays, saved)
@@ -51,24 +58,25 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         del item.stash[NOT_ACCEPTED]
     # Run the scenario, and evaluate the run with the test function.
     now = replays.observed(saved, item.nodeid)
-    for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
-        leftover.discard()  # The item reports its result now.
-    if now.run is not None and (why := now.run.trace.users_error_text):
-        pytest.fail(
-            f"the replay cannot show whether the policy drives well: {visible(why)}", pytrace=False
-        )
+    if not now.is_lost:
+        for leftover in harness.left_behind(item.nodeid):
+            leftover.discard()  # The item reports its result now.
     if now.run is not None:
+        why = now.run.trace.users_error_text
+        if why:
+            text = f"the replay cannot show whether the policy drives well: {visible(why)}"
+            pytest.fail(text, pytrace=False)
         _check_set_up(item, replays, saved, *now.ran)
     raised = None if now.verdict is None else now.verdict.exception
+    line = ""
     if isinstance(raised, ProcessLostError):
         happening = f"the process {raised.end}"
         line = f"the process (pid {raised.pid}) that ran this scenario {raised.end}"
     else:
         run, verdict = now.ran
-        line, happening = (
-            headline(run, verdict) if verdict.failed else "",
-            describe_result(finding, run, verdict.failure),
-        )
+        happening = describe_result(finding, run, verdict.failure)
+        if verdict.failed:
+            line = headline(run, verdict)
     # The mark xfail of the item accepts every exception, so the report must know that this one is not accepted.
     if now.beyond:
         item.stash[NOT_ACCEPTED] = now.beyond
@@ -80,12 +88,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding.xfail is not None and not now.fails:
         # A flaky scenario stays accepted, because it may have passed by chance.
         if not now.is_unsteady:
-            _add_section(
-                item,
-                [
-                    f"It did not fail ({sighting.label}). Remove the line `xfail:` from {sighting.path}"
-                ],
-            )
+            advice = f"Remove the line `xfail:` from {sighting.path}"
+            text = f"It did not fail ({sighting.label}). {advice}"
+            lines = fitted_lines([text], item.config.stash[SHARED].width)
+            item.add_report_section("call", "pafot", "\n".join(lines))
         elif now.is_accepted:
             pytest.xfail(f"{visible(finding.xfail)}; flaky: it passed this time")
     if not now.fails or raised is None:
@@ -98,29 +104,25 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 
 def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
     """Describe the differences between a replay and the file, and the reference's result."""
-    name, reference = replays.harness.against_name, now.reference_passes
-    outcome = {
-        None: "compared with {}",
-        True: "the reference {} passes",
-        False: "the reference {} fails",
-    }[reference]
-    notes = [outcome.format(name) if name else ""]
+    notes = []
+    name = replays.harness.against_name
+    if now.reference_passes is not None:
+        how = "passes" if now.reference_passes else "fails"
+        notes.append(f"the reference {name} {how}")
+    elif name:
+        notes.append(f"compared with {name}")
     if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
-        missed = (
-            "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
-        )
-        return "; ".join(
-            filter(None, [missed, replays.changes(finding, happening), *notes, now.note])
-        )
+        notes.insert(0, replays.changes(finding, happening))
+        if now.run is not None and not now.fails and not now.is_unsteady:
+            notes.insert(0, unhandled(finding, now.run))
+        notes.append(now.note)
+        return "; ".join(filter(None, notes))
     if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
         notes.append(f"it became worse: it {now.verdict.worsening}")
     # A collision with the same vehicle is the same failure at any time, so the note states the new time.
     is_first = now.fails and not now.is_later and now.rate is None
-    if (
-        is_first
-        and now.run is not None
-        and abs(now.run.event_time - finding.expect.time) > SAME_TIME
-    ):
+    time = finding.expect.time
+    if is_first and now.run is not None and abs(now.run.event_time - time) > SAME_TIME:
         notes.append(event_change(finding, happening))
     return "; ".join(filter(None, [now.note, *notes, *replays.setting_changes(finding)]))
 
@@ -135,22 +137,20 @@ def _check_set_up(
         return
     if is_same_failure(finding, run, verdict.failure):  # this is the saved failure
         return
-    key, faults = (
-        (collection.base_id(item), cause),
-        item.session.stash.setdefault(SET_UP_FAULTS, {}),
-    )
-    line = ascii_text(headline(run, verdict))
+    faults = item.session.stash.setdefault(SET_UP_FAULTS, {})
+    key = (base_id(item), cause)
     if key in faults:
+        line = ascii_text(headline(run, verdict))
         text = f"{line}\nThe cause is an error in the set-up. See the failure of {faults[key]}."
-        error: BaseException = pytest.fail.Exception(text, pytrace=False)
-    else:
-        try:
-            replays.check_set_up(saved, run, verdict, item.nodeid)
-            return
-        except SetupFaultError as fault:
-            faults[key] = item.nodeid
-            error = exception_for_pytest(fault.shown(replays.harness.world, replays.harness.policy))
-    raise error
+        pytest.fail(text, pytrace=False)
+    error: BaseException | None = None
+    try:
+        replays.check_set_up(saved, run, verdict, item.nodeid)
+    except SetupFaultError as fault:
+        faults[key] = item.nodeid
+        error = exception_for_pytest(fault.shown(replays.harness.world, replays.harness.policy))
+    if error is not None:  # outside of the handler, so that it has no context
+        raise error
 
 
 def _send(
@@ -163,17 +163,23 @@ def _send(
     detail: str,
 ) -> Seen:
     path, verdict = relative(saved.path, replays.harness.root), now.verdict
-    reference = None if verdict is None else verdict.reference
-    observed = replace(
-        now,
-        against=replays.harness.against_name,
-        severity=None if verdict is None else verdict.severity,
-        before=None if reference is None else reference.severity,
-    )
+    severity, before, check = None, None, None
+    if verdict is not None:
+        severity = verdict.severity
+        if verdict.reference is not None:
+            before = verdict.reference.severity
+        if verdict.failure is not None:
+            check = verdict.failure.check
+    against = replays.harness.against_name
     sighting = Seen(
-        finding=finding, node_id=item.nodeid, test=collection.base_id(item), observed=observed
+        finding=finding,
+        node_id=item.nodeid,
+        test=base_id(item),
+        observed=replace(now, against=against, severity=severity, before=before),
+        headline=headline,
+        path=path,
+        detail=detail,
     )
-    sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")
     # After the last day, the item fails again. The warning reminds the user of the reason.
@@ -182,18 +188,11 @@ def _send(
             f"{path}: the failure is no longer accepted ({finding.accepted}). Correct the policy, "
             "write a later day, or remove the line `xfail:`"
         )
-        messages.send(item, Note(over, "warning"))
-    check = None if verdict is None or verdict.failure is None else verdict.failure.check
-    messages.send_seen(item, replays.harness.request.settings, sighting, check=check, note=now.note)
+        send(item, Note(over, "warning"))
+    send_seen(item, replays.harness.request.settings, sighting, check=check, note=now.note)
     item.user_properties.append(("pafot", sighting.label))
     set_properties(item.user_properties, detail=detail)
     return sighting
-
-
-def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
-    item.add_report_section(
-        "call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width))
-    )
 
 
 def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
@@ -207,9 +206,8 @@ def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_st
         text = f"the saved scenario passes, but its run drifted, and {flag('strict_drift')} is set: {visible(detail)}"
         pytest.fail(text, pytrace=False)
     if verdict.kind == "invalid":
-        pytest.skip(
-            f"drifted: two NPCs collided after {run.duration:.1f} s, so the policy was not tested"
-        )
+        end = f"two NPCs collided after {run.duration:.1f} s"
+        pytest.skip(f"drifted: {end}, so the policy was not tested")
 
 
 # The debugger in the decision of a policy that could have avoided a failure, for ``--pafot-debug``.
@@ -258,20 +256,22 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     # The first run finds the decision. The second one stops there, without a time limit.
     run, verdict = replays.tried(saved, world, item.nodeid)
     if not verdict.failed:
-        messages.send(
-            item,
-            Note(f"{name} did not start a debugger, because the saved scenario {saved.id} passes"),
-        )
+        why = f"because the saved scenario {saved.id} passes"
+        send(item, Note(f"{name} did not start a debugger, {why}"))
         return
     number = deciding(run, finding.expect)
     if number is None:
+        first, _, _ = run.explain().partition("\n")
         raise RequestError(
-            f"{name}: no decision in this run could have avoided the failure: {run.explain().partition(chr(10))[0]}. "
+            f"{name}: no decision in this run could have avoided the failure: {first}. "
             "Set a breakpoint in the policy instead, and run pytest with --pdb"
         )
-    npc = vehicle_of(run, finding.expect)
-    where = "" if npc is None else f": NPC {npc} is {seen_of(run.trace, npc, number)}"
     time = run.trace.decision_ticks[number] / run.trace.physics_hz
-    header = f"pafot: decision {number} at {time:.1f} s{where}. Type s to step into the policy"
-    ads = wrap_ads(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
+    header = f"pafot: decision {number} at {time:.1f} s"
+    npc = vehicle_of(run, finding.expect)
+    if npc is not None:
+        header += f": NPC {npc} is {seen_of(run.trace, npc, number)}"
+    header += ". Type s to step into the policy"
+    factory = replays.harness.policy.factory
+    ads = wrap_ads(factory, lambda ads: Stopping(ads, number, header))
     GENERATORS.run(world.rollout, finding.scenario, ads)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.corpus.layout import relative
+from pytest_pafot.corpus.layout import link_below, refusal, relative
 from pytest_pafot.plugin.collection import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import (
     AS_SAVED,
@@ -22,7 +22,6 @@ from pytest_pafot.plugin.session import (
     SHARED,
     base_line,
     exit_code,
-    not_written,
     report_on,
     terminal_width,
     uncaptured,
@@ -44,13 +43,14 @@ QUICK, REST = 0.1, 10
 class Files:
     """The writer of the JSON file, the page and the job summary."""
 
-    def __init__(self, config: pytest.Config, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._session = config.stash[SESSION]
-        self._clock = clock
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._is_listed = config.getoption("collectonly", False)
-        self._json: str | None = None if self._is_listed else config.getoption(BY_NAME["json"].key)
+        self._json: str | None = None
+        if not self._is_listed:
+            self._json = config.getoption(BY_NAME["json"].key)
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -60,84 +60,84 @@ class Files:
     @pytest.hookimpl(trylast=True)  # after the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write all files, even if the session was interrupted."""
-        self._session.exit = exit_code(session)
-        target, asked = (
-            value_if_right(self._config, "report"),
-            self._config.getoption(BY_NAME["report"].key),
-        )
-        if target is not None and (self._session.seen or self._session.ended):
-            with self._session.faults(f"{flag('report', target)}: the page was not written"):
+        record = self._session
+        record.exit = exit_code(session)
+        target = value_if_right(self._config, "report")
+        asked = self._config.getoption(BY_NAME["report"].key)
+        if target is not None and (record.seen or record.ended):
+            with record.faults(f"{flag('report', target)}: the page was not written"):
                 self._write_page(target)
         elif asked and not self._is_listed:
-            problem = f"{flag('report', asked)}: the page was not written, because neither a search nor a replay ran"
-            self._session.problems.append(problem)
+            problem = "the page was not written, because neither a search nor a replay ran"
+            record.problems.append(f"{flag('report', asked)}: {problem}")
         self.write_json()
-        path, of = os.environ.get(SUMMARY), self._session
-        if (
-            not path
-            or self._is_listed
-            or not any((of.searches, of.seen, of.unread, of.warnings, of.problems, of.left))
-        ):
+        path = os.environ.get(SUMMARY)
+        is_driven = record.searches or record.seen or record.unread or record.left
+        has_content = is_driven or record.warnings or record.problems
+        if not path or self._is_listed or not has_content:
             return  # No modules are imported for an empty summary.
-        with of.faults(f"{SUMMARY}: the summary was not written"):
+        with record.faults(f"{SUMMARY}: the summary was not written"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
-            file = self._config.invocation_params.dir / path
-            text = markdown(of, page=asked or "")
-            problem = not_written(self._config, path, file.parent, lambda: append(file, text))
-            of.problems += (
-                [f"{SUMMARY}={path}: the summary was not written: {problem}"] if problem else []
-            )
+            problem = self._write(path, markdown(record, page=asked or ""), append)
+            if problem:
+                record.problems.append(f"{SUMMARY}={path}: the summary was not written: {problem}")
 
     def _write_page(self, target: str) -> None:
         from pytest_pafot.report.page import render_page  # noqa: PLC0415
         from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
-        path = Path(os.path.normpath(self._config.invocation_params.dir / target))
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
-        problem = not_written(
-            self._config, target, path.parent, lambda: write_whole(path, page.encode())
-        )
-        lines, name = (
-            self._session.problems if problem else self._session.written,
-            flag("report", target),
-        )
-        lines.append(
-            f"{name}: the page was not written: {problem}"
-            if problem
-            else f"report: {target} ({told})"
-        )
+        problem = self._write(target, page, write_whole)
+        if problem:
+            name = flag("report", target)
+            self._session.problems.append(f"{name}: the page was not written: {problem}")
+        else:
+            self._session.written.append(f"report: {target} ({told})")
 
     def write_json(self) -> None:
         """Write the JSON file, except shortly after a slow write during the session."""
-        began, is_over = self._clock(), self._session.exit is not None
+        began, is_over = monotonic(), self._session.exit is not None
         if self._json is None or (not is_over and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
         from pytest_pafot.support.files import is_stream, write_whole  # noqa: PLC0415
 
-        path = Path(os.path.normpath(self._config.invocation_params.dir / self._json))
-        if not is_over and is_stream(path):
+        if not is_over and is_stream(self._path_of(self._json)):
             return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
-        problem = not_written(
-            self._config, self._json, path.parent, lambda: write_whole(path, text)
-        )
+        problem = self._write(self._json, text, write_whole)
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
-        took = self._clock() - began
-        self._next = began + (REST * took if took > QUICK else 0.0)
-        if is_over:  # Report a problem only once, at the end.
-            lines, name = (
-                self._session.problems if problem else self._session.written,
-                flag("json", self._json),
-            )
-            lines.append(
-                f"{name}: the file was not written: {problem}" if problem else f"json: {self._json}"
-            )
+        took = monotonic() - began
+        if took > QUICK:
+            self._next = began + REST * took
+        if is_over and problem:  # Report it only once, at the end.
+            name = flag("json", self._json)
+            self._session.problems.append(f"{name}: the file was not written: {problem}")
+        elif is_over:
+            self._session.written.append(f"json: {self._json}")
+
+    def _path_of(self, name: str) -> Path:
+        return Path(os.path.normpath(self._config.invocation_params.dir / name))
+
+    def _write(self, name: str, text: str, write: Callable[[Path, str], object]) -> str:
+        """Write a file. Return an empty string or, if that fails, the reason and a solution."""
+        path = self._path_of(name)
+        link = link_below(self._config.rootpath, path.parent)
+        # A link below the rootdir may come from a repository, and lead anywhere.
+        if link is not None and not os.path.isabs(name):  # noqa: PTH117  (a text of the user)
+            return refusal(link)
+        try:
+            write(path, text)
+        except OSError as error:
+            from pytest_pafot.support.files import way_out  # noqa: PLC0415
+
+            return f"{error.strerror or error}. {way_out(error, 'or name another file')}"
+        return ""
 
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
@@ -161,7 +161,9 @@ class LiveTerminal:
             return False
         # an attribute in earlier versions of pytest, a method in later versions
         is_terminal = self.writer.isatty
-        return bool(is_terminal() if callable(is_terminal) else is_terminal)
+        if callable(is_terminal):
+            is_terminal = is_terminal()
+        return bool(is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
         """Write the progress line that ``line`` returns for a width in columns."""
@@ -211,6 +213,7 @@ class Reporter:
         self._record = config.stash[SESSION]
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
+        # for each search, the reports of its new findings and the workers that sent them
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
         self._expanded: set[str] = set()
 
@@ -230,7 +233,8 @@ class Reporter:
         if message is not None:
             self._take(report, *message)
             # pytest stores every report until the session ends, and reports without a result under the empty name.
-            stored = getattr(self._live.writer, "stats", {}).get("", [])
+            stats = getattr(self._live.writer, "stats", {})
+            stored = stats.get("", [])
             if stored and stored[-1] is report:
                 stored.pop()
         elif report.when == "teardown":
@@ -243,36 +247,40 @@ class Reporter:
         from pytest_pafot.searches.events import Ending  # noqa: PLC0415
 
         # Three cases: pytest's text and the block, only the block, or no text for a search whose findings have blocks.
-        search, seen = (
-            self._record.searches.get(report.nodeid),
-            self._record.seen.get(report.nodeid),
-        )
-        option, is_whole = self._config.option, self._config.get_verbosity() > 0
-        if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
+        record, option = self._record, self._config.option
+        search = record.searches.get(report.nodeid)
+        seen = record.seen.get(report.nodeid)
+        is_whole = self._config.get_verbosity() > 0
+        has_finds = search is not None and search.finds and search.reason != Ending.ERROR
+        if has_finds and not is_whole:
             # pytest's mark for a failure that needs no text at the end
             report.__dict__["_pdbshown"] = True
         if seen is None or not seen.headline:
             return
         crash: Any = getattr(report.longrepr, "reprcrash", None)
-        # An exception from another process or another run has no position in the test.
-        file = None if crash is None or PACKAGE in Path(crash.path).parents else Path(crash.path)
-        place = "" if file is None else f"{relative(file, self._config.rootpath)}:{crash.lineno}"
+        place, text = "", report.longreprtext
+        if crash is not None:
+            text = crash.message
+            file = Path(crash.path)
+            # An exception from another process or another run has no position in the test.
+            if PACKAGE not in file.parents:
+                place = f"{relative(file, self._config.rootpath)}:{crash.lineno}"
+        again = ""
+        if seen.path:
+            again = terminal.command_for(record, seen, "pytest")
         lines = terminal.block_lines(
             seen,
-            self._record.command(seen, "pytest") if seen.path else "",
-            search=self._record.searches.get(self._record.items.get(report.nodeid, "")),
+            again,
+            search=record.searches.get(record.items.get(report.nodeid, "")),
             place=place,
-            text=report.longreprtext if crash is None else crash.message,
+            text=text,
             width=self._config.stash[SHARED].width,
             is_whole=is_whole,
         )
         longrepr: Any = report.longrepr
         traceback = getattr(longrepr, "reprtraceback", None)
-        if (
-            is_whole
-            or getattr(option, "showlocals", False)
-            or getattr(option, "tbstyle", "auto") != "auto"
-        ):
+        is_asked_for = getattr(option, "showlocals", False) or is_whole
+        if is_asked_for or getattr(option, "tbstyle", "auto") != "auto":
             report.sections.append(("pafot", "\n".join(lines)))
         elif traceback is None or not traceback.reprentries:
             report.longrepr = "\n".join(lines)
@@ -292,32 +300,26 @@ class Reporter:
         if SEARCH_MARK not in report.keywords:
             return
         if when == "call" or not report.passed:  # A passed set-up is not a result yet.
-            result = "failed" if when == "call" else "error"
-            if not report.failed:
-                result = (
-                    "passed"
-                    if not report.skipped
-                    else "xfailed"
-                    if hasattr(report, "wasxfail")
-                    else "skipped"
-                )
-            record.results[node_id] = max(
-                record.results.get(node_id, ""), result, key=RESULTS.index
-            )
+            result = "passed"
+            if report.failed:
+                result = "failed" if when == "call" else "error"
+            elif report.skipped:
+                result = "xfailed" if hasattr(report, "wasxfail") else "skipped"
+            known = record.results.get(node_id, "")
+            record.results[node_id] = max(known, result, key=RESULTS.index)
         if report.failed:
+            from pytest_pafot.report.terminal import add_failure  # noqa: PLC0415
+
+            text = report.longreprtext
             crash = getattr(report.longrepr, "reprcrash", None)
-            text = (
-                report.longreprtext
-                if crash is None
-                else str(crash.message).removeprefix("Failed: ")
-            )
-            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
-            saved = (
-                json.loads(getattr(report, AS_SAVED, "{}"))
-                if SAVED_MARK in report.keywords
-                else None
-            )
-            record.add_failure(node_id, when, report.longreprtext, reason, saved=saved)
+            if crash is not None:
+                text = str(crash.message).removeprefix("Failed: ")
+            lines = filter(None, map(str.strip, text.splitlines()))
+            reason = next(lines, "")
+            saved = None
+            if SAVED_MARK in report.keywords:
+                saved = json.loads(getattr(report, AS_SAVED, "{}"))
+            add_failure(record, node_id, when, report.longreprtext, reason, saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -326,7 +328,8 @@ class Reporter:
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
-        if named := ", ".join(self._record.incomparable):
+        if self._record.incomparable:
+            named = ", ".join(self._record.incomparable)
             raise pytest.UsageError(
                 f"the policy cannot be compared with its reference. See {named}"
             )
@@ -340,7 +343,9 @@ class Reporter:
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         shown = dict(report.user_properties).get("pafot")
-        return ("passed", ".", f"PASSED ({shown})") if shown is not None and report.passed else None
+        if shown is None or not report.passed:
+            return None
+        return "passed", ".", f"PASSED ({shown})"
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -357,26 +362,20 @@ class Reporter:
         """Write the plugin's section of the summary."""
         own, record = Session(), self._record
         record.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
-        said = (
-            record.unnamed,
-            record.left,
-            record.notes,
-            record.warnings,
-            record.problems,
-            record.written,
-        )
-        if not any((record.is_driven, *said)):
+        has_remarks = record.notes or record.warnings or record.problems
+        if not (record.is_driven or record.unnamed or record.left or record.written or has_remarks):
             return
         with own.faults("pafot: the summary was not printed"):
             from pytest_pafot.report import terminal  # noqa: PLC0415
 
             terminalreporter.section("pafot")
-            width, is_whole = self._config.stash[SHARED].width, self._config.get_verbosity() > 0
+            width = self._config.stash[SHARED].width
+            is_whole = self._config.get_verbosity() > 0
             for line in terminal.session_lines(record, width=width, is_whole=is_whole):
                 terminalreporter.line(line)
             if os.environ.get("GITHUB_ACTIONS") == "true":
                 page = self._config.getoption(BY_NAME["report"].key) or ""
-                for line in terminal.annotation_lines(record.red, page):
+                for line in terminal.annotation_lines(terminal.failures_of(record), page):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -387,19 +386,16 @@ class Reporter:
         from pytest_pafot.searches.events import Progress, Search  # noqa: PLC0415
 
         record, event = self._record, terminal.event_of(kind, text)
-        is_first = isinstance(event, Seen) and event.node_id not in record.seen
-        record.add(event, report.nodeid, more.get("view", ""))
+        is_known = isinstance(event, Seen) and event.node_id in record.seen
+        terminal.add_event(record, event, report.nodeid, more.get("view", ""))
         match event:
             case Search() if not event.reason:
                 # Under pytest-xdist, no line about the collection is printed, but the user needs the seed even if the
                 # session ends early.
-                if (
-                    self._live.is_parallel
-                    and len(record.searches) == 1
-                    and self._config.get_verbosity() >= 0
-                ):
-                    base = base_line(self._config)
-                    self._live.write([f"pafot: {base}"] if base else [])
+                is_first = len(record.searches) == 1 and self._config.get_verbosity() >= 0
+                base = base_line(self._config)
+                if self._live.is_parallel and is_first and base:
+                    self._live.write([f"pafot: {base}"])
             case Search():
                 self._files.write_json()
             case Progress():
@@ -409,10 +405,11 @@ class Reporter:
             case Seen() if event.observed.new == "new":
                 self._files.write_json()
                 if event.node_id not in self._expanded:
+                    node = getattr(report, "node", None)
                     pending = self._pending.setdefault(report.nodeid, {})
-                    pending[event.node_id] = more["report"], getattr(report, "node", None)
+                    pending[event.node_id] = more["report"], node
                 self._live.erase_progress()
-                if is_first and self._config.get_verbosity() >= 0:
+                if not is_known and self._config.get_verbosity() >= 0:
                     self._live.write([terminal.found_line(event)])
             case Seen() if event.observed.new == "no worse":
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
@@ -423,7 +420,8 @@ class Reporter:
 
         # pytest counts each new finding like an item, with the node id of its future replay.
         pending = self._pending.pop(search_id, {})
-        for seen in terminal.ranked([self._record.seen[node_id] for node_id in pending]):
+        found = [self._record.seen[node_id] for node_id in pending]
+        for seen in terminal.ranked(found):
             data, node = pending[seen.node_id]
             self._expanded.add(seen.node_id)
             report = self._config.hook.pytest_report_from_serializable(

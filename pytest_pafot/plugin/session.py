@@ -9,7 +9,7 @@ import shutil
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import date, timedelta
 from functools import partial
@@ -19,7 +19,6 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.report.session import Session
 from pytest_pafot.searches.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.support.errors import RequestError, flag
@@ -65,12 +64,12 @@ def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
         option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere
     }
     # The first source that sets a budget decides both.
-    budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
+    runs, generations = (list(_values(config, BY_NAME[name], marker)) for name in BUDGETS)
+    budgets = zip(runs, generations, strict=True)
     given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
     # A number of generations selects the paper's algorithm, even if an earlier source sets the number of runs.
-    values["algorithm"] = values["algorithm"] or (
-        "pafot" if any(budget[1] for budget in budgets) else None
-    )
+    if any(generations):
+        values["algorithm"] = values["algorithm"] or "pafot"
     return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
 
 
@@ -80,9 +79,8 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
     Raises:
         RequestError: if the value is invalid. The message names its source.
     """
-    return next(
-        (value for value in _values(config, option, marker) if value is not None), option.default
-    )
+    values = _values(config, option, marker)
+    return next((value for value in values if value is not None), option.default)
 
 
 def value_if_right(config: pytest.Config, name: str) -> Any:
@@ -96,8 +94,10 @@ def value_if_right(config: pytest.Config, name: str) -> Any:
 def _values(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Iterator[Any]:
     """Yield the value on the command line, in the mark and in the configuration file."""
     yield _read(option, option.flag, config.getoption(option.key))
-    argument = marker.get(option.name) if option.is_argument else None
-    yield _read(option, f"@pafot.search({option.name}=...)", argument)
+    if option.is_argument:
+        yield _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
+    else:
+        yield None
     try:
         value = config.getini(option.key)
     except (TypeError, ValueError, pytest.UsageError) as error:  # the message ends with the value
@@ -106,19 +106,21 @@ def _values(config: pytest.Config, option: Option, marker: Mapping[str, object])
 
 
 def _read(option: Option, place: str, value: object) -> Any:
+    if value is None:
+        return None
     try:
-        return None if value is None else option.read(value)
+        return option.read(value)
     except RequestError as error:
         raise RequestError(f"{place}: {error}") from None
 
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
-LISTED = 5  # the maximum number of names in a line
 
 
 def terminal_width() -> int:
     """Return the width of the terminal [columns]."""
     columns = shutil.get_terminal_size((80, 24)).columns
+    # A smaller number is probably wrong.
     return columns if columns >= 40 else 80
 
 
@@ -135,6 +137,11 @@ class Shared:
         self.frozen: frozenset[str] | None = None
         vars(self).update(chosen)
 
+    @property
+    def day(self) -> date:
+        """The value of ``today`` as a date."""
+        return date.fromisoformat(self.today)
+
 
 class Inventory(NamedTuple):
     """The collected items and files, as strings that pytest-xdist can send."""
@@ -145,36 +152,25 @@ class Inventory(NamedTuple):
     unnamed: set[str]  # marked functions and classes that pytest does not collect as tests
 
 
-def first(names: Sequence[str]) -> str:
-    """Return a list of the first five names, and the number of the remaining names."""
-    return ", ".join(names[:LISTED]) + (
-        f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    )
-
-
 def cause_of(config: pytest.Config) -> str:
     """Return the reason why a session must fail if something was not tested, or an empty string."""
-    strict = BY_NAME["strict_health"]
-    return (
-        "CI is set"
-        if is_ci(os.environ)
-        else f"{strict.flag} is set"
-        if value_if_right(config, strict.name)
-        else ""
-    )
+    if is_ci(os.environ):
+        return "CI is set"
+    if value_if_right(config, "strict_health"):
+        return f"{BY_NAME['strict_health'].flag} is set"
+    return ""
 
 
 def call_of(config: pytest.Config) -> list[str]:
     """Return pytest's command-line arguments, without those from its configuration file."""
-    return [
-        *map(str, config.invocation_params.args),
-        *shlex.split(os.environ.get("PYTEST_ADDOPTS", "")),
-    ]
+    added = shlex.split(os.environ.get("PYTEST_ADDOPTS", ""))
+    return [*map(str, config.invocation_params.args), *added]
 
 
 def path_of(config: pytest.Config, arg: str) -> Path:
     """Return the path in a command-line argument such as ``file.py::test``."""
-    return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
+    path, _, _ = arg.partition("::")
+    return Path(os.path.normpath(config.invocation_params.dir / path))
 
 
 SHARED = pytest.StashKey[Shared]()
@@ -188,9 +184,9 @@ SESSION = pytest.StashKey[Session]()
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
     """Return a context in which a test's output reaches the terminal."""
     manager = config.pluginmanager.get_plugin("capturemanager")
-    silent: AbstractContextManager[None] = (
-        nullcontext() if manager is None else manager.global_and_fixture_disabled()
-    )
+    if manager is None:
+        return nullcontext()
+    silent: AbstractContextManager[None] = manager.global_and_fixture_disabled()
     return silent
 
 
@@ -215,13 +211,15 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
         except RequestError:  # the search itself reports it
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
-    counts = " and ".join(
-        f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count
-    )
-    return (
-        counts
-        and f"pafot: at most {counts}. Analysing failures roughly doubles the number of decisions"
-    )
+    counts = []
+    for name, count in most.items():
+        if count:
+            noun = name.removesuffix("s") if count == 1 else name
+            counts.append(f"{count:,} {noun}")
+    if not counts:
+        return ""
+    upper = " and ".join(counts)
+    return f"pafot: at most {upper}. Analysing failures roughly doubles the number of decisions"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
@@ -261,20 +259,15 @@ def guard_exits(config: pytest.Config) -> None:
     def end(name: str, /, *given: Any, **named: Any) -> None:
         # Before the collection, only _exit is an error: a conftest.py may call exec to restart pytest.
         is_early = name == "_exit" and not getattr(plugins.get_plugin("session"), "items", ())
-        if (
-            getpid() == owner
-            and not is_worker(config)
-            and (is_early or plugins.has_plugin("pafot-messages"))
-        ):
+        is_own = getpid() == owner and not is_worker(config)
+        if is_own and (is_early or plugins.has_plugin("pafot-messages")):
             if not code():
                 caller = traceback.format_stack(limit=2)[0].strip()
+                note = f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
                 with uncaptured(config):
-                    note = (
-                        f"pafot: this call ends the session. Use {flag('isolate')} to prevent that"
-                    )
                     print(f"\n{note}\n  {caller}", flush=True)
-            # os.abort has no status
-            if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:
+            status, *_ = [*given, *named.values(), 1]  # os.abort has none
+            if name.startswith("exec") or status % 256 == 0:
                 own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
         own[name](*given, **named)
 
@@ -293,26 +286,9 @@ def guard_exits(config: pytest.Config) -> None:
 def exit_code(session: pytest.Session) -> int:
     """Return the exit code of an ending session."""
     # A second Ctrl-C may arrive before pytest has handled the first one.
-    is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
-    return int(pytest.ExitCode.INTERRUPTED if is_interrupted else session.exitstatus)
-
-
-def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
-    """Call a function that writes a file. Return an empty string or, if the call fails, the reason and a solution.
-
-    ``name`` is the path as the user wrote it.
-    """
-    # A link below the rootdir may come from a repository, and lead anywhere.
-    link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
-    if link is not None:
-        return refusal(link)
-    try:
-        write()
-    except OSError as error:
-        from pytest_pafot.support.files import way_out  # noqa: PLC0415
-
-        return f"{error.strerror or error}. {way_out(error, 'or name another file')}"
-    return ""
+    if isinstance(sys.exc_info()[1], KeyboardInterrupt):
+        return int(pytest.ExitCode.INTERRUPTED)
+    return int(session.exitstatus)
 
 
 def is_worker(config: pytest.Config) -> bool:
@@ -328,7 +304,9 @@ class Header:
         from pytest_pafot.support.compiled import why_interpreted  # noqa: PLC0415  (most sessions are not verbose)
 
         reason = why_interpreted()
-        return f"pafot: kernel interpreted ({reason})" if reason else "pafot: kernel compiled"
+        if reason:
+            return f"pafot: kernel interpreted ({reason})"
+        return "pafot: kernel compiled"
 
 
 # Messages from a running item to the controller.
@@ -358,12 +336,13 @@ class Messages:
         self, report: pytest.TestReport | pytest.CollectReport
     ) -> tuple[str, str, str] | None:
         """Hide messages from pytest's results."""
-        return ("", "", "") if getattr(report, "when", None) == PHASE else None
+        if getattr(report, "when", None) == PHASE:
+            return "", "", ""
+        return None
 
 
 def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
     """Return a report on one phase of an item, by default a passed phase."""
+    facts = {"nodeid": item.nodeid, "location": item.location, "when": when}
     passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
-    return pytest.TestReport(
-        **{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given}
-    )
+    return pytest.TestReport(**facts | passed | given)

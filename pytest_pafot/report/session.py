@@ -1,24 +1,18 @@
-"""The record of a pytest session: items add events, and all reports are written from these.
+"""The record of a pytest session, from which all reports are written.
 
-Every session has a record, so this module imports little and defines no dataclass.
+Every session has a record, so this module imports little and defines no dataclass. The functions that add events of
+items to it are in ``report.terminal``.
 """
 
 from __future__ import annotations
 
-import os
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-
-from pytest_pafot.support.errors import rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Seen
-    from pytest_pafot.searches.events import Note, Progress, Search
-
-    Event = Progress | Search | Seen | Note
+    from pytest_pafot.searches.events import Search
 
 # The results of items, the worst last. An item that did not end has an empty result.
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
@@ -66,59 +60,6 @@ class Session:
         self.written: list[str] = []  # about the files that were written
         vars(self).update(known)
 
-    def add(self, event: Event, item: str = "", view: str = "") -> None:
-        """Add an event from an item. ``view`` is a finding's data for the page, as JSON."""
-        from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
-        from pytest_pafot.searches.events import Note, Search  # noqa: PLC0415
-
-        match event:
-            case Search():
-                self.searches.pop(event.node_id, None)
-                self.searches[event.node_id] = replace(
-                    event, finds=tuple(map(self._with_alike, event.finds))
-                )
-            case Seen():
-                earlier = self.seen.pop(event.node_id, None)
-                # If the session also replays the new file of a search, the replay must not hide that it is unshrunk.
-                left = "" if earlier is None or event.observed.new else earlier.unshrunk
-                self.seen[event.node_id] = replace(event, unshrunk=left) if left else event
-                self.items[event.node_id] = item
-                if view:
-                    self.views[event.node_id] = zlib.compress(view.encode(), level=1)
-            case Note(kind="incomparable"):
-                self.incomparable[event.text] = None
-            case Note():
-                texts = self.warnings if event.kind == "warning" else self.notes
-                texts.extend([event.text] if event.text not in texts else [])
-
-    def _with_alike(self, find: Seen) -> Seen:
-        # A search counts the runs that failed like its finding, so the number is known only at its end.
-        known = self.seen.get(find.node_id)
-        if known is not None and known.observed.new:
-            find = self.seen[find.node_id] = replace(known, alike=find.alike)
-        return find
-
-    def add_failure(
-        self, node_id: str, phase: str, text: str, reason: str, *, saved: Mapping[str, str] | None
-    ) -> None:
-        """Add an item's failure, even if its search or replay could not start.
-
-        ``saved`` has the id, file and test of a replayed scenario. It is None for a search.
-        """
-        from pytest_pafot.searches.events import Search  # noqa: PLC0415
-
-        self.failures[node_id, phase] = text
-        self.reasons.setdefault(node_id, reason)
-        if saved is not None and node_id not in self.seen:
-            again = rerun(
-                ["python", "-m", "pytest", *self.options, saved["file"]],
-                os.environ,
-                saved=saved["id"],
-            )
-            self.unread.setdefault(node_id, {**saved, "replay": again})
-        elif saved is None and node_id not in self.seen:
-            self.searches.setdefault(node_id, Search(node_id=node_id))
-
     @property
     def ended(self) -> list[Search]:
         """The searches that have reported their end, in the order in which they reported it."""
@@ -127,11 +68,8 @@ class Session:
     @property
     def running(self) -> list[str]:
         """The node ids of searches that have not reported their end."""
-        return [
-            node_id
-            for node_id, each in self.searches.items()
-            if not each.reason and each.seed is not None
-        ]
+        started = (each for each in self.searches.values() if each.seed is not None)
+        return [each.node_id for each in started if not each.reason]
 
     @property
     def is_driven(self) -> bool:
@@ -139,40 +77,9 @@ class Session:
         return bool(self.ended or self.running or self.seen)
 
     @property
-    def findings(self) -> dict[str, Seen]:
-        """The findings by node id. A replay includes the result of its test's search."""
-        from pytest_pafot.searches.events import by_test, concluded  # noqa: PLC0415
-
-        searches = by_test(self.ended)
-        return {node_id: concluded(each, searches) for node_id, each in self.seen.items()}
-
-    @property
-    def replays(self) -> list[Seen]:
-        """The replays, in the order in which they ended."""
-        return [each for each in self.findings.values() if not each.observed.new]
-
-    @property
     def finds(self) -> list[Seen]:
         """The new findings of all searches that ended."""
         return [find for search in self.ended for find in search.finds]
-
-    @property
-    def red(self) -> list[Seen]:
-        """The failures that make a session fail."""
-        return [
-            *self.finds,
-            *(each for each in self.replays if each.headline and each.label != "accepted"),
-        ]
-
-    def command(self, seen: Seen, *words: str, name: str = "") -> str:
-        """Return the command that runs a finding again, or its search if the finding was not saved."""
-        if seen.path:
-            return rerun([*words, *self.options, name or seen.path], os.environ, saved=seen.id)
-        item = self.items.get(seen.node_id, "")
-        search = self.searches.get(item)
-        return rerun(
-            [*words, item], os.environ, *("" if search is None else search.options).split()
-        )
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:

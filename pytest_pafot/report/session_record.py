@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import asdict, fields
 from functools import partial
 from types import MappingProxyType
@@ -22,7 +22,14 @@ from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
-from pytest_pafot.report.terminal import FAILING, describe_failure, where_to_see_more
+from pytest_pafot.report.terminal import (
+    command_for,
+    describe_failure,
+    findings_of,
+    random_failures,
+    ranked,
+    where_to_see_more,
+)
 from pytest_pafot.searches.events import Search
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
@@ -37,54 +44,18 @@ UNREAD = label(Observed(is_error=True))
 NOT_WRITTEN = ("seconds", "process_notes")
 
 
-# For each key, its value if the file could not be read or run, and the function that returns it otherwise. The session
-# supplies the values without a function.
-FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyType({
-    "node_id": ("", lambda seen: seen.node_id),
-    "id": ("", lambda seen: seen.id),
-    "test": ("", lambda seen: seen.finding.test),
-    "status": (UNREAD, lambda seen: str(seen.label)),
-    "result": ("", None),
-    "file": (None, lambda seen: seen.path or None),
-    "replay": ("", None),
-    "scenario": (None, lambda seen: scenario_data(seen.finding.scenario)),
-    "world": (None, lambda seen: dict(seen.finding.world)),
-    "headline": ("", lambda seen: seen.headline),
-    "sentences": ([], lambda seen: list(seen.observed.sentences)),
-    "detail": ("", lambda seen: seen.detail),
-    "signature": (None, lambda seen: seen.finding.signature.told),
-    "kind": ("", lambda seen: seen.finding.signature.slug),
-    "failure": ("", lambda seen: seen.finding.expect.failure),
-    "assertion": ("", lambda seen: seen.finding.expect.assertion),
-    "outcome": ("", lambda seen: str(seen.finding.expect.outcome)),
-    "time": (None, lambda seen: seen.finding.expect.time),
-    "responsible": ("none", lambda seen: seen.responsible),
-    "takeover": (None, lambda seen: seen.finding.expect.takeover),
-    "size": ("", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run)),
-    "traffic": ("", lambda seen: STYLES[seen.finding.scenario.traffic].described),
-    "runs": (0, lambda seen: 1 + seen.alike.runs if seen.observed.new else 0),
-    "worst": (None, lambda seen: {name: asdict(seen.alike)[name] for name in ("number", "severity")}),
-    "seed": (None, lambda seen: seen.finding.found.seed),
-    "algorithm": ("", lambda seen: seen.finding.found.algorithm),
-    "policy": (None, lambda seen: seen.finding.found.policy),
-    "against": ("", lambda seen: seen.finding.expect.against),
-    "rate": (None, lambda seen: seen.finding.rate and asdict(seen.finding.rate) | {
-        "of": seen.finding.drawn, "now": seen.observed.rate and asdict(seen.observed.rate),
-    }),
-    "flaky": (None, lambda seen: seen.finding.flaky),
-    "unshrunk": ("", lambda seen: seen.unshrunk),
-    "moment": (None, lambda seen: seen.moment and asdict(seen.moment) | {
-        "conditions": [{"about": whom, "evaluated": [*rows]} for whom, rows in seen.moment.conditions],
-    }),
-    "searched": (0, lambda seen: seen.observed.searched),
-    "drawn": (0, lambda seen: seen.observed.drawn),
-    "elsewhere": ("", lambda seen: seen.observed.elsewhere),
-    "reference_passes": (None, lambda seen: seen.observed.reference_passes),
-    "severity": (None, lambda seen: seen.severity and asdict(seen.severity)),
-    "severity_before": (None, lambda seen: seen.observed.before and asdict(seen.observed.before)),
-    "xfail": (None, lambda seen: seen.finding.xfail_until and {
-        "reason": seen.finding.xfail, "until": seen.finding.xfail_until.isoformat(),
-    }),
+# The entry of a finding whose file could not be read or run.
+FINDING: Mapping[str, Any] = MappingProxyType({
+    **dict.fromkeys((
+        "node_id", "id", "test", "result", "replay", "headline", "detail", "kind", "failure", "assertion", "outcome",
+        "size", "traffic", "algorithm", "against", "unshrunk", "elsewhere",
+    ), ""),
+    **dict.fromkeys((
+        "file", "scenario", "world", "signature", "time", "takeover", "worst", "seed", "policy", "rate", "flaky",
+        "moment", "reference_passes", "severity", "severity_before", "xfail",
+    )),
+    **dict.fromkeys(("runs", "searched", "drawn"), 0),
+    "status": UNREAD, "sentences": [], "responsible": "none",
 })  # fmt: skip
 
 
@@ -134,11 +105,60 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         severity_before: the same for the reference; null unless it also fails.
         xfail: `reason` and `until` of an accepted failure, or null.
     """
-    values = (
-        copy(nothing) if seen is None or of is None else of(seen)
-        for nothing, of in FINDING.values()
-    )
-    return dict(zip(FINDING, values, strict=True)) | more
+    if seen is None:
+        return deepcopy(dict(FINDING)) | more  # a copy, because the caller may change its lists
+    finding, now, moment = seen.finding, seen.observed, seen.moment
+    expect, found = finding.expect, finding.found
+    entry = {
+        **FINDING,
+        "node_id": seen.node_id,
+        "id": seen.id,
+        "test": finding.test,
+        "status": seen.label,
+        "file": seen.path or None,
+        "scenario": scenario_data(finding.scenario),
+        "world": dict(finding.world),
+        "headline": seen.headline,
+        "sentences": list(now.sentences),
+        "detail": seen.detail,
+        "signature": finding.signature.told,
+        "kind": finding.signature.slug,
+        "failure": expect.failure,
+        "assertion": expect.assertion,
+        "outcome": expect.outcome,
+        "time": expect.time,
+        "responsible": seen.responsible,
+        "takeover": expect.takeover,
+        "size": size_of(finding.scenario, finding.longest_run),
+        "traffic": STYLES[finding.scenario.traffic].described,
+        "worst": {name: asdict(seen.alike)[name] for name in ("number", "severity")},
+        "seed": found.seed,
+        "algorithm": found.algorithm,
+        "policy": found.policy,
+        "against": expect.against,
+        "flaky": finding.flaky,
+        "unshrunk": seen.unshrunk,
+        "searched": now.searched,
+        "drawn": now.drawn,
+        "elsewhere": now.elsewhere,
+        "reference_passes": now.reference_passes,
+    }
+    if now.new:
+        entry["runs"] = 1 + seen.alike.runs
+    if finding.rate is not None:
+        entry["rate"] = {**asdict(finding.rate), "of": finding.drawn, "now": None}
+        if now.rate is not None:
+            entry["rate"]["now"] = asdict(now.rate)
+    if moment is not None:
+        conditions = [{"about": whom, "evaluated": list(rows)} for whom, rows in moment.conditions]
+        entry["moment"] = {**asdict(moment), "conditions": conditions}
+    if seen.severity is not None:
+        entry["severity"] = asdict(seen.severity)
+    if now.before is not None:
+        entry["severity_before"] = asdict(now.before)
+    if finding.xfail_until is not None:
+        entry["xfail"] = {"reason": finding.xfail, "until": finding.xfail_until.isoformat()}
+    return entry | more
 
 
 def to_text(session: Session, *, root: str, day: str | None = None) -> str:
@@ -154,54 +174,47 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         orphans: folders with saved scenarios that the session did not replay.
         warnings, problems: warnings, for example about expired acceptances and skipped tests; errors outside tests.
     """
+    # Paths differ between machines, but the same seed must give the same JSON.
     same = partial(portable, root=root)
-    told = {
-        node_id: {"result": session.results.get(node_id, "")}
-        for node_id in (*session.searches, *session.seen)
-    }
     reasons = {node_id: same(reason) for node_id, reason in session.reasons.items()}
-    findings = {
-        node_id: finding_entry(
+    findings = {}
+    for node_id, saved in session.unread.items():
+        result = session.results.get(node_id, "")
+        known = {"node_id": node_id, "detail": reasons[node_id], "result": result}
+        findings[node_id] = finding_entry(None, **saved, **known)
+    for node_id, seen in findings_of(session).items():
+        findings[node_id] = finding_entry(
             seen,
-            **told[node_id],
+            result=session.results.get(node_id, ""),
             headline=same(seen.headline),
             detail=same(seen.detail),
-            replay=session.command(seen, "python", "-m", "pytest"),
+            replay=command_for(session, seen, "python", "-m", "pytest"),
         )
-        for node_id, seen in session.findings.items()
-    }
-    for node_id, saved in session.unread.items():
-        known = {
-            "node_id": node_id,
-            "detail": reasons[node_id],
-            "result": session.results.get(node_id, ""),
-        }
-        findings.setdefault(node_id, finding_entry(None, **saved, **known))
+    searches = []
     # A running search has an empty record, which remains if the session is killed.
-    searches = [
-        {
-            each.name: getattr(search, each.name)
-            for each in fields(Search)
-            if each.name not in NOT_WRITTEN
-        }
-        | {
-            "runs": search.runs,
-            "failing": search.failing,
-            "finds": [find.id for find in search.finds],
-        }
-        | {
-            "failures": sorted(
-                ({"id": id_, "signature": shown.told} for id_, shown in search.failures), key=str
-            )
-        }
-        | {**told[node_id], "message": reasons.get(node_id, "")}
-        for node_id, search in sorted(session.searches.items())
-    ]
-    folders, gone = (
-        Counter(file.rpartition("/")[0] for file in files)
-        for files in (session.left, session.fails)
-    )
-    expected, _, advice = ADVICE.partition(". ")
+    for node_id, search in sorted(session.searches.items()):
+        entry = {each.name: getattr(search, each.name) for each in fields(Search)}
+        for name in NOT_WRITTEN:
+            del entry[name]
+        failures = [{"id": id_, "signature": shown.told} for id_, shown in search.failures]
+        searches.append(
+            {
+                **entry,
+                "runs": search.runs,
+                "failing": search.failing,
+                "finds": [find.id for find in search.finds],
+                "failures": sorted(failures, key=str),
+                "result": session.results.get(node_id, ""),
+                "message": reasons.get(node_id, ""),
+            }
+        )
+    orphans = []
+    if session.exit is not None:
+        gone = {_folder_of(file) for file in session.fails}
+        expected, _, advice = ADVICE.partition(". ")
+        for folder, count in sorted(Counter(map(_folder_of, session.left)).items()):
+            about = {"folder": folder, "files": count, "is_gone": folder in gone}
+            orphans.append({**about, "expected": expected, "way_out": advice})
     data = {
         "pafot_json": VERSION,
         "exit": session.exit,
@@ -209,21 +222,15 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
         "versions": installed_versions(),
         "searches": searches,
         "findings": [findings[node_id] for node_id in sorted(findings)],
-        "orphans": [
-            {
-                "folder": folder,
-                "files": count,
-                "expected": expected,
-                "way_out": advice,
-                "is_gone": folder in gone,
-            }
-            for folder, count in sorted(folders.items())
-            if session.exit is not None
-        ],
+        "orphans": orphans,
         "warnings": sorted(session.warnings),
         "problems": session.problems,
     }
     return quiet_json(json.dumps(data, indent=2, sort_keys=True, default=asdict)) + "\n"
+
+
+def _folder_of(file: str) -> str:
+    return file.rpartition("/")[0]
 
 
 # The result of a session in a few lines of Markdown, for the page of a CI job.
@@ -242,51 +249,50 @@ def markdown(session: Session, page: str = "") -> str:
     ``page`` is the path of the report page, or empty.
     """
     where, rest = where_to_see_more(page)
-    is_used = session.searches or session.seen or session.unread or session.left or session.problems
-    return "\n".join(_lines(session, f"see {code(where)}{rest}")) + "\n" if is_used else ""
+    is_driven = session.searches or session.seen or session.unread
+    if not (is_driven or session.left or session.problems):
+        return ""
+    return "\n".join(_lines(session, f"see {code(where)}{rest}")) + "\n"
 
 
 def _lines(session: Session, rest: str) -> Iterator[str]:
     groups: dict[str, list[list[str]]] = {status: [] for status in GROUPS}
-    for seen in sorted(session.findings.values(), key=lambda seen: seen.rank):
+    for seen in ranked(findings_of(session).values()):
         groups[seen.result].append(list(_finding_lines(seen, session)))
     for node_id, saved in sorted(session.unread.items()):
         if node_id not in session.seen:
             told = f"{code(saved['test'])}: {plain(session.reasons[node_id])}"
             groups[UNREAD].append([f"- {told}", f"  <br>{code(saved['replay'])}"])
     counts = [f"{len(group)} {status}" for status, group in groups.items() if group]
-    yield f"### pafot: {', '.join([*([] if groups['new'] else ['nothing new']), *counts])}"
+    if not groups["new"]:
+        counts.insert(0, "nothing new")
+    yield f"### pafot: {', '.join(counts)}"
     yield ""
     yield from _search_lines(session)
     left = MAX_TOLD
     for status, group in groups.items():
-        if group:
-            yield from ("", f"**{GROUPS[status]}**", "")
-            is_failure = not status.startswith(("accepted", "passed"))
-            most = left if is_failure else MAX_LISTED
-            left -= min(most, len(group)) if is_failure else 0
-            for lines in group[:most]:
-                yield from lines
-            others = f"{len(group) - most} more" if most else f"{len(group)}"
-            yield from (
-                [f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"]
-                if len(group) > most
-                else []
-            )
-    searches = [session.searches[node_id] for node_id in sorted(session.searches)]
-    # Any other search that failed did so because of its new findings, which are listed above.
-    failed = [
-        each.node_id
-        for each in searches
-        if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds
-    ]
-    faulty = [f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}" for node_id in failed]
+        if not group:
+            continue
+        yield from ("", f"**{GROUPS[status]}**", "")
+        most = MAX_LISTED
+        # Failures take several lines each, so all groups of failures share a limit.
+        if not status.startswith(("accepted", "passed")):
+            most = left
+            left -= min(left, len(group))
+        for lines in group[:most]:
+            yield from lines
+        if most == 0:
+            yield f"- {len(group)}: {rest}"
+        elif len(group) > most:
+            yield f"- ... and {len(group) - most} more: {rest}"
+    faulty = []
+    for node_id, search in sorted(session.searches.items()):
+        # Any other search that failed did so because of its new findings, which are listed above.
+        if session.results.get(node_id) in RESULTS[-2:] and not search.finds:
+            faulty.append(f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}")
     yield from _listed("Searches that failed", faulty)
-    lost = sorted({file.rpartition("/")[0] for file in session.left})
-    yield from _listed(
-        "Saved scenarios that were not replayed",
-        [f"{code(each)}: {plain(ADVICE)}" for each in lost],
-    )
+    lost = [f"{code(each)}: {plain(ADVICE)}" for each in sorted(set(map(_folder_of, session.left)))]
+    yield from _listed("Saved scenarios that were not replayed", lost)
     yield from _listed("Warnings", [plain(each) for each in sorted(session.warnings)])
     yield from _listed("Problems", [plain(each) for each in session.problems])
 
@@ -296,21 +302,17 @@ def _search_lines(session: Session) -> Iterator[str]:
     if not ran:
         yield "No search was completed." if session.searches else "No search was requested."
         return
-    options = " or ".join(
-        code(options) for options in dict.fromkeys(search.options for search in ran)
-    )
+    options = " or ".join(dict.fromkeys(code(search.options) for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
     yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; repeat with {options}."
-    against = ", ".join(
-        code(name) for name in dict.fromkeys(search.against for search in ran) if name
-    )
-    if against:
+    references = dict.fromkeys(code(search.against) for search in ran if search.against)
+    if references:
+        against = ", ".join(references)
         yield f"A run counts as a failure only if {against} passes the same scenario."
-    drawn = [search.random for search in ran if search.random["runs"]]
-    failing, counted = (
-        sum(each[name] for each in drawn for name in names) for names in (FAILING, ("runs",))
-    )
+    drawn = [search for search in ran if search.random["runs"]]
+    failing = sum(map(random_failures, drawn))
     if failing:
+        counted = sum(search.random["runs"] for search in drawn)
         yield f"{failing} of {plural(counted, 'random scenario')} failed."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{capitalised(compared)}."
@@ -318,25 +320,33 @@ def _search_lines(session: Session) -> Iterator[str]:
 
 def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     finding, now = seen.finding, seen.observed
-    parts = [plain(seen.on_search), plain(seen.headline or ("" if now.elsewhere else seen.detail))]
+    parts = [plain(seen.on_search)]
+    if seen.headline:
+        parts.append(plain(seen.headline))
+    elif not now.elsewhere:
+        parts.append(plain(seen.detail))
     if seen.headline and now.reference_passes is not None:
         parts.append("the reference passes" if now.reference_passes else "the reference also fails")
-    worse = worsening(seen.severity, now.before) if now.before is not None else ""
-    parts += [f"it became worse: it {plain(worse)}"] if worse else []
-    parts += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
+    if now.before is not None and (worse := worsening(seen.severity, now.before)):
+        parts.append(f"it became worse: it {plain(worse)}")
+    if finding.flaky:
+        parts.append(f"flaky: {plain(finding.flaky)}")
     parts += [plain(seen.unshrunk), plain(seen.worst)]
     if finding.xfail is not None and seen.label == "accepted":
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
-    yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
-    is_pass = seen.result.startswith("passed")
-    yield from (
-        f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else describe_failure(seen)[1:])
-    )
-    missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
-    yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"
+    told = "; ".join(filter(None, parts))
+    yield f"- {code(finding.test)}: {told}"
+    if not seen.result.startswith("passed"):
+        for sentence in describe_failure(seen)[1:]:
+            yield f"  <br>{plain(sentence)}"
+    again = code(command_for(session, seen, "python", "-m", "pytest"))
+    if not seen.path:
+        again = f"not saved: {plain(seen.detail)}; {again}"
+    yield f"  <br>{again}"
 
 
-def _listed(title: str, entries: Sequence[str], most: int = MAX_LISTED) -> Iterator[str]:
+def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
     if entries:
-        yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:most]))
-        yield from ([f"- ... and {len(entries) - most} more"] if len(entries) > most else [])
+        yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:MAX_LISTED]))
+    if len(entries) > MAX_LISTED:
+        yield f"- ... and {len(entries) - MAX_LISTED} more"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, pairwise
 from operator import itemgetter
@@ -34,7 +33,7 @@ from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 
-Numbers = tuple[float | None, ...]
+Numbers = list[float | None]
 Place = tuple[float, float, float]
 """A gap that increases with the ego's speed: minimum [m], value at a standstill [m], increase [m per m/s]."""
 Stretch = tuple[float, float, str]
@@ -72,16 +71,12 @@ def road_view(trace: Trace, clearance: float) -> View:
     }
     if trace.road.is_straight:
         starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
-        across = trace.road.drawn(starts[:, 0], starts[:, 1])[1]
-        return road | {"lanes": tuple(round(float(value), 2) for value in across)}
+        _, across = trace.road.drawn(starts[:, 0], starts[:, 1])
+        road["lanes"] = [round(float(value), 2) for value in across]
+        return road
     reach = float(trace.track_of(0)[:, ALONG].max()) + BEYOND
-    shapes = []
-    for lane in trace.lanes:
-        points, length = _measured(lane)
-        shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
-        line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
-        shapes.append({"points": line, "width": float(lane.width)})
-    return road | {"shapes": tuple(shapes)}
+    road["shapes"] = [_shape(lane, reach) for lane in trace.lanes]
+    return road
 
 
 def places(style: DrivingStyle) -> tuple[Place, Place]:
@@ -93,10 +88,21 @@ def places(style: DrivingStyle) -> tuple[Place, Place]:
     return (style.least_gap + AMPLE, AMPLE, style.time_gap), behind
 
 
-def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    points = np.array(lane.points or [(lane.x, lane.y), end])
-    return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+def _shape(lane: Lane, reach: float) -> View:
+    # The lane up to this distance [m] from its start.
+    end_x = lane.x + lane.length * np.cos(lane.heading)
+    end_y = lane.y + lane.length * np.sin(lane.heading)
+    points = np.array(lane.points or [(lane.x, lane.y), (end_x, end_y)])
+    # A line needs two points.
+    count = max(int(np.searchsorted(_lengths(points), reach)) + 1, 2)
+    line = [(round(x, 2), round(y, 2)) for x, y in points[:count].tolist()]
+    return {"points": line, "width": float(lane.width)}
+
+
+def _lengths(line: FloatArray) -> FloatArray:
+    # The distance [m] of each point from the start of the line, along the line.
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 # The data of a failed check for the page: its numbers, and the curve of its values with the bounds.
@@ -114,37 +120,44 @@ def check_tick(trace: Trace, check: Check | None) -> int | None:
 
 def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
     """Return the data of a check that failed in a run. ``ticks`` are the ticks of the frames."""
-    tick, hz = check_tick(trace, check), trace.physics_hz
+    hz = trace.physics_hz
+    tick = check_tick(trace, check)
     time = None if tick is None else round(tick / hz, 3)
     view: View = {
         "name": check.name,
         "unit": check.unit,
         "value": check.value if math.isfinite(check.value) else None,
-        "at_most": check.at_most,
-        "at_least": check.at_least,
+        **check.bounds,
         "time": time,
         "begin": time,
-        **dict.fromkeys(("values", "broken"), ()),
+        "values": (),
+        "broken": (),
         "low": 0.0,
         "high": 1.0,
         "is_cut": (False, False),
     }
     if check.values is None or len(check.values) != trace.ticks + 1:
         return view
-    values, (low, high) = check.values, _axis(check, check.values)
-    digits = max(4, 4 - math.floor(math.log10(high - low)))
+    values = check.values
     excess = _excess(check, values)
-    spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
-    worst = [values[span[int(excess[span].argmax())]] for span in spans]
-    broken = tuple(
-        (round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0)
-    )
+    # A frame shows the worst value since the frame before it.
+    worst = []
+    for before, tick in pairwise([-1, *ticks]):
+        span = slice(before + 1, tick + 1)
+        worst.append(values[span][excess[span].argmax()])
+    low, high = _axis(check, values)
+    # Small values need more digits, because the curve fills the height of the axis.
+    magnitude = math.floor(math.log10(high - low))
+    digits = max(4, 4 - magnitude)
+    broken = []
+    for first, end in stretches(excess > 0):
+        last = end - 1
+        broken.append((round(first / hz, 3), round(last / hz, 3)))
+    if broken:
+        view["begin"] = broken[0][0]
+    shown = np.clip(worst, low, high).tolist()
     return view | {
-        "begin": broken[0][0] if broken else time,
-        "values": tuple(
-            None if np.isnan(each) else round(float(each), digits)
-            for each in np.clip(worst, low, high)
-        ),
+        "values": [None if math.isnan(each) else round(each, digits) for each in shown],
         "low": low,
         "high": high,
         "is_cut": (bool((values < low).any()), bool((values > high).any())),
@@ -153,9 +166,12 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
 
 
 def _excess(check: Check, values: FloatArray) -> FloatArray:
-    over = [values - check.at_most] if check.at_most is not None else []
-    under = [check.at_least - values] if check.at_least is not None else []
-    excess: FloatArray = np.max([*over, *under], axis=0)
+    # How far each value is beyond a bound, which is infinite for NaN.
+    excess = np.full(len(values), -np.inf)
+    if check.at_most is not None:
+        excess = np.maximum(excess, values - check.at_most)
+    if check.at_least is not None:
+        excess = np.maximum(excess, check.at_least - values)
     return np.where(np.isnan(excess), np.inf, excess)
 
 
@@ -164,18 +180,18 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
     shown = [*values[np.isfinite(values)], *bounds]
     low, high = float(min(shown)), float(max(shown))
-    broken_by = (
-        max(abs(check.value - bound) for bound in bounds) if math.isfinite(check.value) else 0.0
-    )
-    reach = REACH * (max(broken_by, *map(abs, bounds)) or 1.0)
+    sizes = [abs(bound) for bound in bounds]
+    if math.isfinite(check.value):
+        sizes += [abs(check.value - bound) for bound in bounds]
+    reach = REACH * (max(sizes) or 1.0)
     if check.at_least is None:
         low = max(low, bounds[0] - reach)
     if check.at_most is None:
         high = min(high, bounds[0] + reach)
     step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
-    return round(math.floor(low / step) * step, 12), round(
-        max(math.ceil(high / step) * step, low + step), 12
-    )
+    low = math.floor(low / step) * step
+    high = max(math.ceil(high / step) * step, low + step)
+    return round(low, 12), round(high, 12)
 
 
 # Times that differ by less than this [s] count as equal in sentences about a check.
@@ -203,69 +219,101 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         yaml: content of the finding's file.
     """
     finding, run = sighting.finding, sighting.run
-    trace = None if run is None else run.trace
-    expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
-    clearance = finding.world.get("clearance", CLEARANCE)
-    clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    sentences = () if run is None else sentences_of(run, expect)
-    first, *others = [""] if run is None else _explained(run, (*sentences, *run.sentences[:1]))
-    besides, collision = "", ""
-    deed = "" if run is None else deed_of(run, sentences)
-    if check is not None and run is not None:
-        written, check = str(check), _with_curve(check, run.trace)
-        short = _check_in_short(check, run.trace)
-        said = () if written in headline else (f"{capitalised(short)}.",)
-        headline = headline.replace(
-            written, capitalised(short) if headline.startswith(written) else short
-        )
-        if sentences:  # they are about the collision, but would seem to be about the check
-            besides, collision = f"{ALSO} {collision_in_short(run)}.", _prose([first, *sentences])
-        sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
-    if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
-        who = "policy" if run.ads_error.is_of_ads else "environment"
-        headline = f"The {who} failed after {run.event_time:.1f} s: {headline}"
-    lines = (others if check is None or besides else [first, *others]) or [expect.message]
-    view = {
-        "headline": headline or first or expect.message or expect.failure,
-        "sentences": sentences,
-        "besides": besides,
-        "deed": deed,
-        "moment": _moment(sighting),
-        "happened": (
-            *((("The collision", collision, ()),) if collision else ()),
-            *_happened(lines, sighting.finding),
-        ),
-        "assertion": _assertion(expect),
+    expect = finding.expect
+    headline = "; ".join(filter(None, [sighting.headline, note]))
+    clearance = finding.world.get("clearance")
+    if not isinstance(clearance, (int, float)):
+        clearance = CLEARANCE
+    view: View = {
+        "times": (),
+        "vehicles": (),
         "road": {
             "lanes": (),
             "lane_width": 0.0,
             "speed_limit": 0.0,
-            "clearance": clearance,
+            "clearance": float(clearance),
             "shapes": (),
         },
-        **dict.fromkeys(("vehicles", "times", "decisions"), ()),
-        "instructions": _instructions(trace, finding.scenario),
+        "instructions": [],
+        "decisions": (),
+        "ghost": None,
         "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
-        **dict.fromkeys(("ghost", "check")),
+        "check": None,
+        "sentences": (),
+        "besides": "",
+        "deed": "",
+        "moment": _moment(sighting),
+        "assertion": _assertion(expect),
         "yaml": text_of(finding),
     }
-    if run is None or trace is None:
-        return view
-    tick = check_tick(trace, check)
-    ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
+    if run is None:
+        view["instructions"] = _instructions(None, finding.scenario)
+        lines = [] if check is None else [""]
+        return view | _in_words(headline, lines, "", finding)
+    trace = run.trace
+    sentences = sentences_of(run, expect)
+    first, *lines = _explained(run, (*sentences, *run.sentences[:1]))
+    view["deed"] = deed_of(run, sentences)
+    collision = ""
+    ticks = frame_ticks(trace)
+    if check is not None:
+        written = str(check)
+        check = _with_curve(check, trace)
+        tick = check_tick(trace, check)
+        if tick is not None:  # a frame shows the worst value
+            ticks = sorted({*ticks, tick})
+        view["check"] = check_view(check, trace, ticks)
+        short = _check_in_short(check, view["check"])
+        told = _check_sentences(view["check"])
+        # The headline states the check with its full text, which the picture shows, too.
+        if written not in headline:
+            told.insert(0, f"{capitalised(short)}.")
+        elif headline.startswith(written):
+            short = capitalised(short)
+        headline = headline.replace(written, short)
+        if sentences:  # They are about the collision, but would seem to be about the check.
+            view["besides"] = f"{ALSO} {collision_in_short(run)}."
+            collision = _prose([first, *sentences])
+        else:
+            lines.insert(0, first)
+        sentences = tuple(told)
+    if run.ads_error is not None and headline.startswith(run.ads_error.kind):
+        who = "policy" if run.ads_error.is_of_ads else "environment"
+        headline = f"The {who} failed after {run.event_time:.1f} s: {headline}"
+    side = ""
+    if run.collision is not None:
+        side = run.collision.side
     return view | {
-        "road": road_view(trace, clearance),
+        **_in_words(headline or first, lines, collision, finding),
+        "sentences": sentences,
+        "instructions": _instructions(trace, trace.scenario),
+        "road": road_view(trace, float(clearance)),
         "vehicles": _vehicles(trace, ticks),
-        "times": tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
+        "times": [round(tick / trace.physics_hz, 3) for tick in ticks],
         "decisions": _decisions(trace, finding.world),
         "ghost": _ghost(sighting, ticks),
         "event": {
             "kind": str(run.outcome),
             "time": round(min(run.event_time, run.duration), 3),
             "npc": run.event_npc,
-            "side": "" if run.collision is None else run.collision.side,
+            "side": side,
         },
-        "check": None if check is None else check_view(check, trace, ticks),
+    }
+
+
+def _in_words(headline: str, lines: Sequence[str], collision: str, finding: Finding) -> View:
+    expect = finding.expect
+    told = _prose(lines or [expect.message])
+    shown = [("The collision", collision), ("", told)]
+    size = shrunk_lines(finding)
+    if size and finding.shrunk is not None:
+        size[0] += f" in {plural(finding.shrunk.rollouts, 'run')}"
+    shown.append(("Simplified", _prose(size)))
+    if finding.perception is not None:
+        shown.append(("Perception", _prose([f"found with {finding.perception.described}"])))
+    return {
+        "headline": headline or expect.message or expect.failure,
+        "happened": [(title, text, ()) for title, text in shown if text],
     }
 
 
@@ -274,38 +322,37 @@ def _with_curve(check: Check, trace: Trace) -> Check:
     if measure is None or check.time is not None:
         return check
     # If the value is the smallest gap or time to contact of the run, the page can show the curve of that measure.
+    # the smallest value over all NPCs, in each tick
     values = np.fmin.reduce(measure(trace), axis=1, initial=np.inf)
-    is_it = values.min() == check.value
-    return (
-        replace(check, values=values, time=float(values.argmin()) / trace.physics_hz)
-        if is_it
-        else check
-    )
+    if values.min() != check.value:
+        return check
+    time = float(values.argmin()) / trace.physics_hz
+    return replace(check, values=values, time=time)
 
 
-def _check_in_short(check: Check, trace: Trace) -> str:
-    view = check_view(check, trace, ())
-    when = (
-        ""
-        if view["begin"] is None
-        else f" {'from' if view['broken'] else 'at'} {view['begin']:.1f} s"
-    )
+def _check_in_short(check: Check, view: View) -> str:
+    when = ""
+    if view["broken"]:
+        when = f" from {view['begin']:.1f} s"
+    elif view["begin"] is not None:
+        when = f" at {view['begin']:.1f} s"
     return f"the check fails{when}: {replace(check, time=None)}"
 
 
-def _check_sentences(check: View) -> tuple[str, ...]:
+def _check_sentences(check: View) -> list[str]:
     # The headline has only the first time at which the bound is broken.
     broken, time = check["broken"], check["time"]
     if not broken or time is None:
-        return ()
-    first, last, times = broken[0][0], broken[-1][1], len(broken)
-    worst = f"the value is worst at {time:.1f} s" if time - first >= LITTLE else ""
-    often = f" {times} times," if times > 1 else ""
-    until = (
-        f"the bound is broken{often} until {last:.1f} s" if last - time >= LITTLE or often else ""
-    )
-    told = " and ".join(filter(None, [worst, until]))
-    return (f"{capitalised(told)}.",) if told else ()
+        return []
+    first, last = broken[0][0], broken[-1][1]
+    told = []
+    if time - first >= LITTLE:
+        told.append(f"the value is worst at {time:.1f} s")
+    if len(broken) > 1:
+        told.append(f"the bound is broken {len(broken)} times, until {last:.1f} s")
+    elif last - time >= LITTLE:
+        told.append(f"the bound is broken until {last:.1f} s")
+    return [f"{capitalised(' and '.join(told))}."] if told else []
 
 
 def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
@@ -314,53 +361,51 @@ def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
     return [line for line in lines if line and line not in sentences]
 
 
-def _prose(lines: Sequence[str]) -> str:
-    return " ".join(
-        f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines
-    )
+def _prose(lines: Iterable[str]) -> str:
+    sentences = []
+    for line in filter(None, lines):
+        end = "" if line.endswith((".", ":")) else "."
+        sentences.append(capitalised(line) + end)
+    return " ".join(sentences)
 
 
-def _moment(sighting: Seen) -> tuple[Paragraph, ...]:
+def _moment(sighting: Seen) -> list[Paragraph]:
     moment, raised = sighting.moment, sighting.finding.expect.traceback
-    if moment is None:
-        return (("The traceback", "", (("", tuple(raised.splitlines()[1:])),)),) if raised else ()
-    listed = ["it evaluated these conditions, with these values:"] if moment.conditions else []
-    return (("The moment", _prose([str(moment), *listed]), moment.conditions),)
+    if moment is not None:
+        listed = [str(moment)]
+        if moment.conditions:
+            listed.append("it evaluated these conditions, with these values:")
+        return [("The moment", _prose(listed), moment.conditions)]
+    if raised:
+        lines = tuple(raised.splitlines()[1:])
+        return [("The traceback", "", (("", lines),))]
+    return []
 
 
-def _happened(lines: Sequence[str], finding: Finding) -> tuple[Paragraph, ...]:
-    shown: list[tuple[str, list[str]]] = [("", [*filter(None, lines)])]
-    runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
-    size = [f"{how}{'' if number else runs}" for number, how in enumerate(shrunk_lines(finding))]
-    shown.append(("Simplified", size))
-    perception = finding.perception
-    shown.append(
-        ("Perception", [] if perception is None else [f"found with {perception.described}"])
-    )
-    return tuple((title, _prose(sentences), ()) for title, sentences in shown if sentences)
-
-
-def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
+def _decisions(trace: Trace, world: Mapping[str, Any]) -> list[Stretch]:
     names = action_names(world)
-    times = (tick / trace.physics_hz for tick in trace.decision_ticks)
-    decided = zip(
-        times, (_decided(each, names) for each in trace.actions), strict=False
-    )  # the last decision may have raised
-    starts = [
-        (round(next(group)[0], 3), words) for words, group in groupby(decided, key=itemgetter(1))
-    ]
+    times = [tick / trace.physics_hz for tick in trace.decision_ticks]
+    words = [_decided(each, names) for each in trace.actions]
+    starts = []
+    # the last decision may have raised
+    for told, group in groupby(zip(times, words, strict=False), key=itemgetter(1)):
+        starts.append((round(next(group)[0], 3), told))
     ends = [*starts, (round(trace.duration, 3), "")]
-    return tuple((start, end, words) for (start, words), (end, _) in pairwise(ends))
+    return [(start, end, told) for (start, told), (end, _) in pairwise(ends)]
 
 
 def _decided(action: Any, names: Sequence[str]) -> str:
     plain = action.item() if isinstance(action, np.generic) else action
     if isinstance(plain, int) and 0 <= plain < len(names):
         return names[plain]
-    if is_si(plain):
-        acceleration, steering = (round(each, 2) + 0.0 for each in plain)
-        return f"{acceleration:.1f} m/s^2" + (f", {steering:.2f} rad" if steering else "")
-    return text_of_action(plain)
+    if not is_si(plain):
+        return text_of_action(plain)
+    # -0.0 becomes 0.0.
+    acceleration, steering = (round(each, 2) + 0.0 for each in plain)
+    decided = f"{acceleration:.1f} m/s^2"
+    if steering:
+        decided += f", {steering:.2f} rad"
+    return decided
 
 
 def _assertion(expect: Expect) -> str:
@@ -368,7 +413,7 @@ def _assertion(expect: Expect) -> str:
         return f"check {expect.assertion}"
     if expect.assertion and expect.failure == AssertionError.__name__:
         return f"assert {expect.assertion.removeprefix('assert ')}"
-    return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
+    return ": ".join(filter(None, [expect.failure, expect.message]))
 
 
 def frame_ticks(trace: Trace) -> list[int]:
@@ -380,56 +425,67 @@ def frame_ticks(trace: Trace) -> list[int]:
     return sorted(ticks)
 
 
-def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
+def _vehicles(trace: Trace, ticks: Sequence[int]) -> list[View]:
     # The ego first. Most values have one entry per frame. In `cells`, 0 is the ego's own cell, and None means that the
     # NPC is not on the ego's path. `advantage` is the expected time between the NPC and the ego at their conflict zone.
+    states = trace.states[ticks]
+    along, across = trace.road.drawn(states[:, :, X], states[:, :, Y])
+    heading = trace.road.drawn_headings[ticks]
     encounters = Encounters(trace)
-    gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
-    along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
-    heading = trace.road.drawn_headings
+    gaps = gap(trace)[ticks]
+    times = ttc(trace)[ticks]
+    advantages = time_advantage(trace)[ticks]
+    passed = passages(trace)
     views = []
     for vehicle in range(trace.states.shape[1]):
-        name, kind = f"NPC {vehicle - 1}" if vehicle else "ego", trace.vehicle_type(vehicle)
+        npc = vehicle - 1
+        name = "ego" if vehicle == 0 else f"NPC {npc}"
+        kind = trace.vehicle_type(vehicle)
+        if kind != CAR:
+            name += f", {kind.name}"
         view: View = {
-            "name": name if kind == CAR else f"{name}, {kind.name}",
+            "name": name,
             "length": float(trace.sizes[vehicle, 0]),
             "width": float(trace.sizes[vehicle, 1]),
-            "along": _numbers(along[ticks, vehicle], 2),
-            "across": _numbers(across[ticks, vehicle], 2),
-            "heading": _numbers(heading[ticks, vehicle], 3),
-            "speed": _numbers(trace.states[ticks, vehicle, SPEED], 2),
-            "acceleration": _numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
+            "along": _numbers(along[:, vehicle], 2),
+            "across": _numbers(across[:, vehicle], 2),
+            "heading": _numbers(heading[:, vehicle], 3),
+            "speed": _numbers(states[:, vehicle, SPEED], 2),
+            "acceleration": _numbers(states[:, vehicle, ACCELERATION], 1),
             **dict.fromkeys(("gap", "ttc", "cells", "advantage"), ()),
             "zone": None,
         }
-        if vehicle:
-            npc = vehicle - 1
-            is_on_way = encounters.is_on_way[npc]
-            view["cells"] = tuple(
-                int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks
-            )
-            view |= {"gap": _numbers(gaps[ticks, npc], 2), "ttc": _numbers(ttcs[ticks, npc], 2)}
-            passage = passed[npc]
-            if passage is not None:
-                view["zone"] = zone_view(passage.zone, view["length"], trace.lanes[0].width)
-                view["advantage"] = _numbers(advantages[ticks, npc], 2)
         views.append(view)
-    return tuple(views)
+        if vehicle == 0:
+            continue
+        is_on_way = encounters.is_on_way[npc]
+        view["cells"] = [
+            int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks
+        ]
+        view["gap"] = _numbers(gaps[:, npc], 2)
+        view["ttc"] = _numbers(times[:, npc], 2)
+        passage = passed[npc]
+        if passage is not None:
+            view["zone"] = zone_view(passage.zone, view["length"], trace.lanes[0].width)
+            view["advantage"] = _numbers(advantages[:, npc], 2)
+    return views
 
 
 def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
     # The careful driver from the takeover to the impact; `first` is the index of the first frame.
-    run, expect, taken = sighting.run, sighting.finding.expect, None
-    if run is not None and run.take_over is not None and expect.takeover and expect.is_of(run):
-        with suppress(DriverError):  # the user's world may no longer support the driver
-            taken = takeovers.drive(run.trace, expect.takeover, run.take_over)
-    if run is None or taken is None or not expect.takeover:
+    run, expect = sighting.run, sighting.finding.expect
+    if run is None or run.take_over is None or not expect.takeover or not expect.is_of(run):
+        return None
+    try:
+        taken = takeovers.drive(run.trace, expect.takeover, run.take_over)
+    except DriverError:  # the user's world may no longer support the driver
+        return None
+    if taken is None:
         return None
     tick = round((expect.time - expect.takeover) * run.trace.physics_hz)
     shown = [each for each in ticks if tick <= each <= taken.ticks]
-    along, across = (
-        each[shown, 0] for each in taken.road.drawn(taken.states[:, :, X], taken.states[:, :, Y])
-    )
+    ego = taken.states[shown, 0]
+    along, across = taken.road.drawn(ego[:, X], ego[:, Y])
     return {
         "first": ticks.index(shown[0]),
         "along": _numbers(along, 2),
@@ -445,51 +501,64 @@ def zone_view(zone: Zone, length: float, width: float) -> View:
     # An NPC's centre is in the zone while any part of it may touch a vehicle there, so the area is shorter than the
     # zone by the length of the NPC.
     line = np.array(zone.line)
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-    first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
-    places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
-    area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
-    return {"name": zone.way, "way": _points(line), "area": _points(area), "width": float(width)}
+    along = _lengths(line)
+    first = zone.npc[0] + length / 2
+    last = zone.npc[1] - length / 2
+    count = max(round(last - first), 1) + 1
+    places = np.linspace(first, max(last, first), count)
+    area = np.stack([np.interp(places, along, column) for column in line.T], axis=-1)
+    return {
+        "name": zone.way,
+        "way": _points(line),
+        "area": _points(area),
+        "width": float(width),
+    }
 
 
-def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
-    return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in line.tolist())
+def _points(line: FloatArray) -> list[tuple[float, float]]:
+    return [(round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in line.tolist()]
 
 
-def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
+def _instructions(trace: Trace | None, scenario: Scenario) -> list[View]:
     # The instructions as executed, if there is a run. The repair may have changed a cell, so both `requested` and
     # `cell` are stored.
-    wanted = scenario if trace is None else trace.scenario
-    driven, arrivals, hz = (
-        (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
-    )
-    zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
     views: list[View] = []
-    for npc, chain in enumerate(wanted.npcs):
-        begun = arrivals[npc] if npc < len(arrivals) else ()
-        for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
-            tick = None if trace is None else arrival(trace, npc, gene)
-            end = (gene + 1) * wanted.gene_seconds
-            if followed.crosses and trace is not None:  # it continues until the end of the run
-                end = max(end, trace.duration)
-            apart = math.nan if trace is None else lanes_apart(trace, npc, gene)
-            zone = zones[npc]
+    for npc, chain in enumerate(scenario.npcs):
+        followed = chain if trace is None else trace.chains[npc]
+        for gene, (requested, executed) in enumerate(zip(chain, followed, strict=False)):
+            end = (gene + 1) * scenario.gene_seconds
             view: View = {
                 "npc": npc,
-                "start": round(gene * wanted.gene_seconds, 3),
+                "start": round(gene * scenario.gene_seconds, 3),
                 "end": round(end, 3),
-                "speed": followed.speed,
-                "started": gene < len(begun),
-                "arrived": None if tick is None else round(tick / hz, 3),
-                **dict.fromkeys(("requested", "cell"), 0),
-                **dict.fromkeys(("lane", "zone", "words"), ""),
+                "speed": executed.speed,
+                "started": False,
+                "arrived": None,
+                "requested": 0,
+                "cell": 0,
+                "lane": "",
+                "zone": "",
+                "words": "",
             }
-            views.append(
-                {**view, **followed.shown(requested, apart, "" if zone is None else zone.whence)}
-            )
-    return tuple(views)
+            views.append(view)
+            if trace is None:
+                view |= executed.shown(requested, math.nan, "")
+                continue
+            if executed.crosses:  # it continues until the end of the run
+                view["end"] = round(max(end, trace.duration), 3)
+            if npc < len(trace.arrivals):
+                view["started"] = gene < len(trace.arrivals[npc])
+            tick = arrival(trace, npc, gene)
+            if tick is not None:
+                view["arrived"] = round(tick / trace.physics_hz, 3)
+            zone = trace.zones[npc] if trace.zones else None
+            whence = ""
+            if zone is not None:
+                whence = zone.whence
+            view |= executed.shown(requested, lanes_apart(trace, npc, gene), whence)
+    return views
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:
     rounded = np.round(values, digits) + 0.0  # -0.0 becomes 0.0
-    return tuple(float(value) if np.isfinite(value) else None for value in rounded)
+    return [float(value) if np.isfinite(value) else None for value in rounded]

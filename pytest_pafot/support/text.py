@@ -95,6 +95,14 @@ def listed(texts: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [head, *texts[-1:]]))
 
 
+def first_of(names: Sequence[object], most: int) -> str:
+    """Join the first names, and count the others, as in ``a, b and 3 more``."""
+    joined = ", ".join(map(str, names[:most]))
+    if len(names) > most:
+        joined += f" and {len(names) - most} more"
+    return joined
+
+
 def suggest(name: object, known: Iterable[str]) -> str:
     """Return ``. Did you mean 'gap'?`` for a similar name, or an empty string."""
     near = difflib.get_close_matches(str(name), list(known), n=1)

@@ -21,7 +21,7 @@ from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.verdict import Signature, Verdict
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
-from pytest_pafot.plugin.messages import packed
+from pytest_pafot.plugin.item import packed
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
 from tests.findings.builders import findings, plain_finding

@@ -13,6 +13,7 @@ from pytest_pafot.corpus.writer import scenario_data
 from pytest_pafot.plugin import reporter
 from pytest_pafot.plugin.session import exit_code
 from pytest_pafot.report.session import Session
+from pytest_pafot.report.terminal import add_event
 from pytest_pafot.world import codec
 from tests.findings.builders import sighting
 from tests.helpers.sessions import read_record
@@ -374,7 +375,7 @@ def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay
     session = Session()
 
     def left(**seen):
-        session.add(sighting("a", node_id="a", **seen), "t.py::t[search]")
+        add_event(session, sighting("a", node_id="a", **seen), "t.py::t[search]")
         return session.seen["a"].unshrunk
 
     assert (

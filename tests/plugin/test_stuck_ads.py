@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot.execution.runner
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.plugin import item_checks
+from pytest_pafot.plugin import search_item
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
 pytestmark = [
@@ -24,10 +24,10 @@ import time
 import pytest
 
 import pytest_pafot.execution.runner
-import pytest_pafot.plugin.item_checks
+import pytest_pafot.plugin.search_item
 from pytest_pafot import Highway
 
-pytest_pafot.execution.runner.GRACE = pytest_pafot.plugin.item_checks.GRACE = 0.3
+pytest_pafot.execution.runner.GRACE = pytest_pafot.plugin.search_item.GRACE = 0.3
 
 @pytest.fixture
 def pafot_world():
@@ -92,7 +92,7 @@ def named_by_the_next(project):
 def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     project = hanging("swallow")
     result = project.run("--junitxml=junit.xml", runs=36, seed=6, apart=True)
-    assert result.ret == item_checks.STATUS
+    assert result.ret == search_item.STATUS
     found = project.files
     assert found
     result.stdout.fnmatch_lines(
@@ -157,7 +157,7 @@ def test_worker_that_ignores_interrupt_ends_but_search_continues(dear, monkeypat
 def test_faulthandler_timer_is_left_to_pytest_if_used(pytester, monkeypatch, value, is_ours):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     config = pytester.parseconfigure("-o", f"faulthandler_timeout={value}")
-    file = item_checks._real_stderr(config)
+    file = search_item._real_stderr(config)
     assert (file is not None) == is_ours
     if file is not None:
         os.close(file)

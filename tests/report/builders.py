@@ -16,6 +16,7 @@ from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import Shown, render_page
 from pytest_pafot.report.session import Session
+from pytest_pafot.report.terminal import add_event
 from pytest_pafot.report.views import finding_view
 from pytest_pafot.searches.events import Ending, Search
 
@@ -128,9 +129,9 @@ def session_of(*views, searches=(), seen=(), **more):
     """Return the record of a session with these views of findings, other findings, and searches."""
     session = Session(**more)
     for view in views:
-        session.add(view.seen, f"{TEST}[search]", json.dumps(view.view))
+        add_event(session, view.seen, f"{TEST}[search]", json.dumps(view.view))
     for each in (*seen, *searches):
-        session.add(each, searches[0].node_id if searches else "")
+        add_event(session, each, searches[0].node_id if searches else "")
     return session
 
 

@@ -15,6 +15,7 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.session import Session
+from pytest_pafot.report.terminal import command_for
 from pytest_pafot.report.views import finding_view, frame_ticks
 from pytest_pafot.world.base_world import TakingOver
 from tests.helpers.situations import SITUATIONS
@@ -242,7 +243,8 @@ def test_page_says_when_a_lane_change_started_as_the_terminal_does():
 
 def test_the_command_survives_a_shell():
     seen = view_of(cut_in_trace(), node_id=f"{TEST}[a b'c]", path="a").seen
-    assert Session().command(seen, "pytest", name=seen.node_id) == f"""pytest '{TEST}[a b'"'"'c]'"""
+    again = command_for(Session(), seen, "pytest", name=seen.node_id)
+    assert again == f"""pytest '{TEST}[a b'"'"'c]'"""
 
 
 def test_unseen_finding_has_instructions_but_no_frames():

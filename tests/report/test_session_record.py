@@ -16,7 +16,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
-from pytest_pafot.report.terminal import search_lines
+from pytest_pafot.report.terminal import add_event, search_lines
 from pytest_pafot.searches.events import Search
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
@@ -41,8 +41,8 @@ SEARCHES = st.builds(
 @given(SEARCHES, findings(), TEXTS, TEXTS)
 def test_every_record_is_read_as_it_was_written(search, finding, warning, problem):
     session = Session(exit=1, warnings=[warning], problems=[problem])
-    session.add(replace(search, finds=(sighting("a"), sighting("A_b.c-d"))))
-    session.add(Seen(finding=finding, node_id="test_it.py::x"))
+    add_event(session, replace(search, finds=(sighting("a"), sighting("A_b.c-d"))))
+    add_event(session, Seen(finding=finding, node_id="test_it.py::x"))
     record = read_record(to_text(session, root="/nowhere", day="2027-01-31"))
     assert (record.exit, record.day) == (1, "2027-01-31")
     assert (record.warnings, record.problems) == ([warning], [problem])
@@ -72,7 +72,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
 
 def test_keys_are_sorted_and_include_the_version():
     session = Session(exit=1)
-    session.add(Search(node_id="a"))
+    add_event(session, Search(node_id="a"))
     text = to_text(session, root="")
     plain = json.loads(text)
     assert plain["pafot_json"] == 5
@@ -119,7 +119,7 @@ def test_of_a_file_that_cannot_be_read_an_entry_has_all_keys():
 def test_no_duration_is_in_it():
     def text(seconds):
         session = Session()
-        session.add(Search(node_id="a", seconds=seconds, process_notes=(f"{seconds}",)))
+        add_event(session, Search(node_id="a", seconds=seconds, process_notes=(f"{seconds}",)))
         return to_text(session, root="")
 
     assert text(1.0) == text(2.0)

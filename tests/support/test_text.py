@@ -17,7 +17,7 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.reader import Saved, load
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.plugin.collection import saved_part
-from pytest_pafot.plugin.messages import set_properties
+from pytest_pafot.plugin.item import set_properties
 from pytest_pafot.report import page, session_record, terminal
 from pytest_pafot.report.session_record import to_text
 from pytest_pafot.searches import saved_scenario

@@ -79,7 +79,10 @@ class Charts {
 
   curve({ key, title, unit, top = null, least = null, remark = "" }) {
     const { vehicles, road } = this.finding;
-    this.heading(title, ` [${unit}]${key === "speed" ? `, dotted: limit ${road.speed_limit}` : this.width < 600 ? "" : remark}`);
+    let rest = ` [${unit}]`;
+    if (key === "speed") rest += `, dotted: limit ${road.speed_limit}`;
+    else if (this.width >= 600) rest += remark;
+    this.heading(title, rest);
     // The axis starts at 0, or is symmetric for values with a sign.
     const most = Math.max(least ?? road.speed_limit, ...vehicles.flatMap((vehicle) => vehicle[key].map((value) => Math.abs(value ?? 0))));
     const high = top ?? Math.ceil(most / (least ?? 5)) * (least ?? 5);
@@ -100,7 +103,9 @@ class Charts {
   }
 
   check(check) {
-    this.heading(check.name, `${check.unit ? ` [${check.unit}]` : ""}${this.width < 600 ? ", red: outside the bounds" : ", worst value per frame; red: outside the bounds"}`);
+    let rest = check.unit ? ` [${check.unit}]` : "";
+    rest += this.width < 600 ? ", red" : ", worst value per frame; red";
+    this.heading(check.name, `${rest}: outside the bounds`);
     for (const [from, to] of check.broken) {
       this.add("rect", { x: px(this.x(from)), width: px(Math.max(2, this.x(to) - this.x(from))), y: px(this.y), height: CHART.curve, class: "broken" });
     }

@@ -70,10 +70,13 @@ class Player {
     this.curves = new Charts(this.finding, this.width);
     const isRelative = !this.scene.isWorld;
     this.stage.replaceChildren(this.scene.root);
-    this.legend.textContent = `E is the ego, which the policy drives. Numbers are the NPCs, the other vehicles. Dotted trails show the last ${TRAIL_SECONDS} s${isRelative ? ", relative to the ego" : ""}. ` +
-      (isRelative ? "Numbered boxes are the cells around the ego. Dashed lines lead to the targets of NPCs. " : "") +
-      (isCrossed(this.finding) ? "Dotted lines are the paths of crossing NPCs. Shaded areas are their conflict zones with the ego's path. " : "") +
-      "Bars at the rear mean braking." + (this.finding.ghost ? " The shaded box shows the ego if a careful driver takes over shortly before the impact." : "");
+    const trails = isRelative ? ", relative to the ego" : "";
+    const told = [`E is the ego, which the policy drives. Numbers are the NPCs, the other vehicles. Dotted trails show the last ${TRAIL_SECONDS} s${trails}.`];
+    if (isRelative) told.push("Numbered boxes are the cells around the ego. Dashed lines lead to the targets of NPCs.");
+    if (isCrossed(this.finding)) told.push("Dotted lines are the paths of crossing NPCs. Shaded areas are their conflict zones with the ego's path.");
+    told.push("Bars at the rear mean braking.");
+    if (this.finding.ghost) told.push("The shaded box shows the ego if a careful driver takes over shortly before the impact.");
+    this.legend.textContent = told.join(" ");
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
@@ -85,7 +88,8 @@ class Player {
     this.scrubber.value = this.time;
     this.scrubber.setAttribute("aria-valuetext", `${fixed(this.time, 2)} s of ${fixed(this.duration, 2)} s`);
     this.clock.textContent = `${fixed(this.time, 2)} / ${fixed(this.duration, 2)} s`;
-    this.button.textContent = this.isOpening || this.isAtEnd() ? "Play the whole run" : this.isPlaying ? "Pause" : "Play";
+    this.button.textContent = this.isPlaying ? "Pause" : "Play";
+    if (this.isOpening || this.isAtEnd()) this.button.textContent = "Play the whole run";
     this.place.dataset.time = fixed(this.time, 3);
     states.forEach((state, index) => {
       const row = index && instructionAt(this.finding, index - 1, this.time);

@@ -50,15 +50,21 @@ function instructionAt(finding, npc, time) {
   const rows = started.length ? started : all;  // The user's world may not report which instructions started.
   const row = rows.find((each) => time < each.end - 1e-9) ?? rows[rows.length - 1];
   if (!row) return null;
-  const isOver = !row.zone && time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end;
-  return { ...row, phase: isOver ? "ended" : row.arrived !== null && time >= row.arrived - 1e-9 ? "arrived" : "approach" };
+  let phase = "approach";
+  if (row.arrived !== null && time >= row.arrived - 1e-9) phase = "arrived";
+  const isLast = !row.zone && finding.times[finding.times.length - 1] > row.end;
+  if (isLast && time >= row.end - 1e-9) phase = "ended";
+  return { ...row, phase };
 }
 
 function wordsOf(row) {
   if (row.phase === "ended") return "keeps its lane and speed after its last instruction";
-  const reached = row.phase === "arrived" && row.lane !== "keep" ? `; ${row.zone ? "entered" : "reached"} at ${fixed(row.arrived, 1)} s` : "";
-  const asked = row.zone || row.lane || row.requested === row.cell ? "" : ` (requested: cell ${CELL_NAMES[row.requested]})`;
-  return `${goalName(row)}, target ${fixed(row.speed, 1)} m/s${asked}${reached}`;
+  let words = `${goalName(row)}, target ${fixed(row.speed, 1)} m/s`;
+  const isCell = !row.zone && !row.lane;
+  if (isCell && row.requested !== row.cell) words += ` (requested: cell ${CELL_NAMES[row.requested]})`;
+  const reached = row.zone ? "entered" : "reached";
+  if (row.phase === "arrived" && row.lane !== "keep") words += `; ${reached} at ${fixed(row.arrived, 1)} s`;
+  return words;
 }
 
 const decisionAt = (finding, time) => finding.decisions.findLast(([start]) => start <= time + 1e-6)?.[2] ?? "";
@@ -66,7 +72,8 @@ const decisionAt = (finding, time) => finding.decisions.findLast(([start]) => st
 function cellCentre(finding, ego, cell) {
   // Returns the centre of a cell around the ego on a straight road, and whether there is a lane.
   const { road, vehicles } = finding;
-  const [least, start, seconds] = COLUMNS[cell] ? [0, 0, 0] : ROWS[cell] > 0 ? road.ahead : road.behind;
+  let [least, start, seconds] = ROWS[cell] > 0 ? road.ahead : road.behind;
+  if (COLUMNS[cell]) [least, start, seconds] = [0, 0, 0];
   const gap = Math.max(road.clearance, least, start + seconds * ego.speed);
   const row = (ego.length + (vehicles[1] ?? vehicles[0]).length) / 2 + gap;
   const [own, lane] = [nearestLane(road, ego.across), nearestLane(road, ego.across) + COLUMNS[cell]];
