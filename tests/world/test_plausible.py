@@ -5,7 +5,6 @@ from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from gymnasium import register
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.road.road import Road
@@ -17,9 +16,9 @@ from pytest_pafot import PositionInstruction, Scenario, SimulatorWorld
 from pytest_pafot.algorithms.space import SearchSpace, sample
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import SPEED, SURVIVES, Outcome, first_difference
-from pytest_pafot.world import WorldError
 from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.plausible import Implausible, Plausibility
+from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 from tests.world.test_simulator import Bicycle, Late
 
@@ -27,6 +26,9 @@ GONE = -1073741824.0
 RUNS, PLANTED = 200, 20
 SPACE = SearchSpace(npcs=3)
 STRAIGHT = lambda: lambda _: (0.0, 0.0)  # noqa: E731
+
+
+MOVED = {"jump": (49.0, 0.0, 0.0), "jump back": (-49.0, 0.0, 0.0), "aside": (0.0, 3.0, 0.0), "faster": (0, 0, 15.0)}  # fmt: skip
 
 
 def spoil(now, before, fault, *, is_first):
@@ -38,13 +40,7 @@ def spoil(now, before, fault, *, is_first):
         return [GONE] * 4
     if not is_first:
         return [x, y, heading, speed]
-    moved = {
-        "jump": (49.0, 0.0, 0.0),
-        "jump back": (-49.0, 0.0, 0.0),
-        "aside": (0.0, 3.0, 0.0),
-        "faster": (0, 0, 15.0),
-    }
-    dx, dy, faster = moved[fault]
+    dx, dy, faster = MOVED[fault]
     return [x + dx, y + dy, heading, speed + faster]
 
 
@@ -62,12 +58,11 @@ class Faults:
         before = [list(car) for car in self.cars]
         super().step(controls)
         self.ticks += 1
+        is_first = self.ticks == self.tick
         for number in range(len(self.cars)) if self.fault == "all freeze" else [self.number]:
             if self.fault and self.ticks >= self.tick:
-                is_first = self.ticks == self.tick
-                self.cars[number] = spoil(
-                    self.cars[number], before[number], self.fault, is_first=is_first
-                )
+                spoilt = spoil(self.cars[number], before[number], self.fault, is_first=is_first)
+                self.cars[number] = spoilt
 
 
 class FaultyBicycle(Faults, Bicycle):
@@ -86,13 +81,13 @@ class FaultyRoad(Road):
         before = [(*each.position, each.heading, each.speed) for each in vehicles]
         super().step(dt)
         self.ticks += 1
+        is_first = self.ticks == tick
         for each in range(len(vehicles)) if fault == "all freeze" else [number]:
             if fault and self.ticks >= tick:
                 vehicle = vehicles[each]
                 now = (*vehicle.position, vehicle.heading, vehicle.speed)
-                *place, vehicle.heading, vehicle.speed = spoil(
-                    now, before[each], fault, is_first=self.ticks == tick
-                )
+                spoilt = spoil(now, before[each], fault, is_first=is_first)
+                *place, vehicle.heading, vehicle.speed = spoilt
                 vehicle.position = np.array(place)
 
 
@@ -123,57 +118,52 @@ register("faulty-v0", entry_point=FaultyEnv)
 register("teleporting-v0", entry_point=Teleporting)
 
 
+MAKERS = {"bicycle": (FaultyBicycle, 15), "late": (FaultyLate, 15), "coarse": (FaultyBicycle, 5), "fine": (FaultyBicycle, 50)}  # fmt: skip
+KINDS = ("bicycle", "late", "env", "coarse", "fine")
+FAULTS = (*MOVED, "freeze", "all freeze", "gone")
+
+
 @cache
 def world_of(kind, *plant):
     if kind == "env":
         config = {"plant": list(plant) or ["", 0, 0], "simulation_frequency": 15}
         return pafot.World("faulty-v0", config=config, duration=8.0, planner_hz=5)
-    maker, hz = {"bicycle": (FaultyBicycle, 15), "late": (FaultyLate, 15), "coarse": (FaultyBicycle, 5),
-                 "fine": (FaultyBicycle, 50)}[kind]  # fmt: skip
+    maker, hz = MAKERS[kind]
     return SimulatorWorld(partial(maker, hz, *plant), ads_hz=5, duration=8.0)
 
 
+def planted(kind, scenario, fault, trace, rng):
+    """Return a run with a fault at a random tick, and what must be said of it: the tick, the method and the vehicle."""
+    half = math.ceil(trace.physics_hz / 2)
+    able = np.argwhere(trace.states[2 : -half - 2, :, SPEED] > 3.0)  # fast enough to freeze
+    tick, vehicle = (able[rng.integers(len(able))] + [2, 0]).tolist()
+    world = world_of(kind, fault, vehicle, tick)
+    # An NPC that is told where to be is known at once to be elsewhere.
+    first = vehicle
+    if fault == "all freeze":
+        first = int(kind == "late" and len(trace.sizes) > 1)
+    is_late = "freeze" in fault and not (kind == "late" and first)
+    method = "FaultyEnv.step" if kind == "env" else f"{world.maker.__name__}.states"
+    who = f"NPC {first - 1}" if first else "the ego"
+    return world.rollout(scenario, STRAIGHT), (tick + (half - 1) * is_late, method, who)
+
+
 def test_of_200_runs_those_20_with_a_planted_jump_or_freeze_are_invalid_and_no_other():
-    faults, kinds = (
-        ("jump", "jump back", "aside", "faster", "freeze", "all freeze", "gone"),
-        ("bicycle", "late", "env", "coarse", "fine"),
-    )
-    found, wrong = 0, []
+    every, found, wrong = RUNS // PLANTED, 0, []
     for number in range(RUNS):
-        every, kind, scenario = (
-            RUNS // PLANTED,
-            kinds[(number + number // 10) % 5],
-            sample(SPACE, rng_of(number)),
-        )
-        trace, expected = world_of(kind).rollout(scenario, STRAIGHT), ("", "", 0)
+        kind, scenario = KINDS[(number + number // 10) % 5], sample(SPACE, rng_of(number))
+        trace, expected = world_of(kind).rollout(scenario, STRAIGHT), None
         if number % every == 0:
-            fault, half = faults[number // every % len(faults)], math.ceil(trace.physics_hz / 2)
-            able = np.argwhere(trace.states[2 : -half - 2, :, SPEED] > 3.0)  # fast enough to freeze
-            tick, vehicle = (able[rng_of(number).integers(len(able))] + [2, 0]).tolist()
-            trace = world_of(kind, fault, vehicle, tick).rollout(scenario, STRAIGHT)
-            # An NPC that is told where to be is known at once to be elsewhere.
-            first = (
-                vehicle if fault != "all freeze" else int(kind == "late" and len(trace.sizes) > 1)
-            )
-            late = half - 1 if "freeze" in fault and not (kind == "late" and first) else 0
-            method = (
-                "FaultyEnv.step" if kind == "env" else f"{world_of(kind).maker.__name__}.states"
-            )
-            expected = (
-                f"{method}, tick {tick + late}",
-                f"NPC {first - 1}" if first else "the ego",
-                tick + late,
-            )
-        text, seen = trace.users_error_text, ("", "", 0)
-        if text:
-            assert trace.outcome is Outcome.INVALID
-            seen = (
-                text.partition(":")[0].removesuffix(" after step"),
-                expected[1] if expected[1] in text else text,
-            )
-            seen = (*seen, trace.ticks + 1 - ("changed its stated speed" in text))
+            fault = FAULTS[number // every % len(FAULTS)]
+            trace, expected = planted(kind, scenario, fault, trace, rng_of(number))
+        text, is_as_expected = trace.users_error_text, not expected
         found += bool(text)
-        wrong += [] if seen == expected else [(number, kind, expected, seen, repr(trace))]
+        if text and expected:
+            tick, method, who = expected
+            place = text.partition(":")[0].removesuffix(" after step")
+            is_as_expected = place == f"{method}, tick {tick}" and who in text
+            is_as_expected &= trace.outcome is Outcome.INVALID and trace.ticks in (tick, tick - 1)
+        wrong += [] if is_as_expected else [(number, kind, expected, text, repr(trace))]
     assert (found, wrong) == (PLANTED, [])
 
 
@@ -199,13 +189,13 @@ def test_a_speed_that_ends_at_once_in_a_collision_is_a_collision():
     assert trace.collision.ego_speed == 0.0
 
 
+CUSHION = SimulatorWorld(type("Cushion", (Crashes,), {"room": 1.5}))
+
+
 def test_a_simulator_that_stops_vehicles_before_they_touch_hides_no_collision():
-    trace = SimulatorWorld(type("Cushion", (Crashes,), {"room": 1.5})).rollout(AHEAD, STRAIGHT)
+    trace = CUSHION.rollout(AHEAD, STRAIGHT)
     assert trace.outcome is Outcome.INVALID
     assert trace.users_error_text.startswith("Cushion.states, tick ")
-    assert trace.users_error_text.endswith(
-        "the ego changed its stated speed from 22.0 to 0.0 m/s in a tick"
-    )
 
 
 def test_a_policy_that_a_jump_of_a_speed_confuses_has_not_failed():
@@ -217,8 +207,7 @@ def test_a_policy_that_a_jump_of_a_speed_confuses_has_not_failed():
 
     trace = world_of("coarse", "faster", 0, 12).rollout(AHEAD, asserting)
     assert (trace.outcome, trace.error) == (Outcome.INVALID, None)
-    told = "FaultyBicycle.states, tick 12: the ego changed its stated speed from 22.0 to"
-    assert trace.users_error_text.startswith(told)
+    assert trace.users_error_text.startswith("FaultyBicycle.states, tick 12:")
 
 
 def moved(*states, dt=1 / 15):
@@ -265,14 +254,8 @@ SPEED_OF_A_HIT = 2.4
 
 
 def test_a_vehicle_may_slide_on_sideways_with_its_speed_along_its_heading():
-    sideways = [(0.2 * tick * tick / 2, 1.0 * tick, 0.0, 0.2 * tick) for tick in range(30)]
-    assert (
-        moved(
-            (0, 0, 0, 15.0),
-            *[(x, y, 0.0, 15.0 - tick / 2) for tick, (x, y, *_) in enumerate(sideways[1:])],
-        )
-        == ""
-    )
+    sideways = [(0.1 * tick * tick, 1.0 * tick, 0.0, 15.0 - tick / 2) for tick in range(29)]
+    assert moved((0, 0, 0, 15.0), *[(x + 0.2 * n + 0.1, y + 1, 0.0, v) for n, (x, y, _, v) in enumerate(sideways)]) == ""  # fmt: skip
 
 
 @table(("acceleration", "is_plausible"), [(-90.0, True), (0.0, False)])
@@ -282,33 +265,25 @@ def test_a_controller_that_brakes_harder_than_any_vehicle_is_no_jump(acceleratio
     assert (plausibility.doubt == "") is is_plausible
 
 
-DRIVES = "in a tick, but its stated speed allows only {:.1f} m"
+MOTIONS = {
+    "to the slack": ([(0, 0, 0, 20), (1.9, 0, 0, 20)], 0),
+    "beyond the slack": ([(0, 0, 0, 20), (2.0, 0, 0, 20)], 1),
+    "without speed": ([(0, 0, 0, 0), (0, 0.7, 0, 0)], 1),
+    "with a jump of the speed": ([(0, 0, 0, 20), (50, 0, 0, 740)], 1),
+    "nowhere": ([(0, 0, 0, 20), (math.nan, 0, 0, 20)], 1),
+    "a speed that jumps": ([(0, 0, 0, 0), (0, 0, 0, -5), (0, 0, 0, -5)], 1),
+    "a jump that may be a collision": ([(0, 0, 0, 0), (0, 0, 0, 5)], 0),
+    "still for half a second": ([(0, 0, 0, 2.1)] * 9, 8),
+    "still for less": ([(0, 0, 0, 2.1)] * 8, 0),
+    "still and slow between": ([(0, 0, 0, 2.1)] * 7 + [(0, 0, 0, 2.0)] + [(0, 0, 0, 2.1)] * 7, 0),
+    "nearly still": ([(0.001 * tick, 0, 0, 20) for tick in range(9)], 8),
+}
 
 
-@table(("states", "text"), [
-    ([(0, 0, 0, 20), (1.9, 0, 0, 20)], ""),
-    ([(0, 0, 0, 20), (2.0, 0, 0, 20)], f"1: the ego moved 2.0 m {DRIVES.format(1.3)}"),
-    ([(0, 0, 0, 0), (0, 0.7, 0, 0)], f"1: the ego moved 0.7 m {DRIVES.format(0.0)}"),
-    ([(0, 0, 0, 20), (50, 0, 0, 740)], f"1: the ego moved 50.0 m {DRIVES.format(1.6)}"),
-    ([(0, 0, 0, 20), (math.nan, 0, 0, 20)], f"1: the ego moved nan m {DRIVES.format(1.3)}"),
-    ([(0, 0, 0, 0), (0, 0, 0, -5), (0, 0, 0, -5)],
-     "1: the ego changed its stated speed from 0.0 to -5.0 m/s in a tick"),
-    ([(0, 0, 0, 0), (0, 0, 0, 5)], ""),  # it may be a collision that ends the run
-    ([(0, 0, 0, 2.1)] * 9, "8: the ego did not move for 0.5 s at a stated speed of 2.1 m/s"),
-    ([(0, 0, 0, 2.1)] * 8, ""),
-    ([(0, 0, 0, 2.1)] * 7 + [(0, 0, 0, 2.0)] + [(0, 0, 0, 2.1)] * 7, ""),
-    ([(0.001 * tick, 0, 0, 20) for tick in range(9)],
-     "8: the ego did not move for 0.5 s at a stated speed of 20.0 m/s"),
-])  # fmt: skip
-def test_what_no_vehicle_does_is_told_with_its_tick(states, text):
-    assert moved(*states) == (text and f"Sim.states, tick {text}")
-
-
-def test_a_policys_environment_whose_step_moves_the_ego_is_named():
-    trace = pafot.World("teleporting-v0", duration=10.0).rollout(AHEAD, lambda: lambda _: 4)
-    assert trace.outcome is Outcome.INVALID
-    assert trace.users_error_text.startswith("Teleporting.step, tick ")
-    assert "the ego moved 9" in trace.users_error_text
+@table(("states", "tick"), MOTIONS.values())
+def test_what_no_vehicle_does_is_told_with_its_tick(states, tick):
+    place, _, _ = moved(*states).partition(":")
+    assert place == (f"Sim.states, tick {tick}" if tick else "")
 
 
 class Leap:
@@ -342,13 +317,17 @@ class Leaps(HighwayEnvFast):
 register("leaps-v0", entry_point=Leaps)
 
 
-@table(("world", "ads", "name"), [
-    (pafot.Highway(duration=10.0), Leaping, "Leaping"),
-    (pafot.World("leaps-v0", duration=10.0), lambda: lambda _: 1, "Leaper"),
-])  # fmt: skip
-def test_an_ego_whose_class_lets_it_leap_is_named(world, ads, name):
-    slow = Scenario(npcs=((PositionInstruction(2, 8.0),),), ego_speed=22.0)
-    trace = world.rollout(slow, ads)
+SLOW = Scenario(npcs=((PositionInstruction(2, 8.0),),), ego_speed=22.0)
+LEAPS = [
+    (pafot.World("teleporting-v0", duration=10.0), AHEAD, lambda: lambda _: 4, "Teleporting"),
+    (pafot.Highway(duration=10.0), SLOW, Leaping, "Leaping"),
+    (pafot.World("leaps-v0", duration=10.0), SLOW, lambda: lambda _: 1, "Leaper"),
+]
+
+
+@table(("world", "scenario", "ads", "name"), LEAPS)
+def test_an_environment_or_class_that_moves_the_ego_is_named(world, scenario, ads, name):
+    trace = world.rollout(scenario, ads)
     assert trace.outcome is Outcome.INVALID
     assert trace.users_error_text.startswith(f"{name}.step, tick ")
 
@@ -364,7 +343,7 @@ def test_rate_counts_no_episode_in_which_the_ego_jumps():
 
 
 def test_a_fault_in_the_first_tick_is_an_error_at_once():
-    with pytest.raises(WorldError, match=r"FaultyBicycle.states, tick 1: expected the ego to move"):
+    with refused("FaultyBicycle.states, tick 1"):
         world_of("bicycle", "jump", 0, 1).rollout(AHEAD, STRAIGHT)
 
 
@@ -394,28 +373,29 @@ class Worn(Bicycle):
         return control.acceleration - 0.003 * self.runs
 
 
-def test_what_differs_between_two_runs_is_told_with_its_cause():
+def differing():
+    """Return pairs of runs that differ, by the cause."""
     worn, sound = SimulatorWorld(Worn, duration=4.0), SimulatorWorld(Bicycle, duration=4.0)
-    first, again = (worn.rollout(AHEAD, STRAIGHT) for _ in range(2))
-    assert first_difference(first, first) == ""
-    assert (
-        first_difference(first, again)
-        == f"speed of the ego differs by 0.0002 m/s after 0.0667 s; {SURVIVES}"
-    )
     brakes = sound.rollout(AHEAD, lambda: lambda seen: (-1.0 if seen.time > 0.9 else 0.0, 0.0))
-    assert first_difference(sound.rollout(AHEAD, STRAIGHT), brakes) == (
-        "speed of the ego differs by 0.067 m/s after 1.07 s; the policy had decided differently"
-    )
-    shorter = SimulatorWorld(Bicycle, duration=3.0).rollout(AHEAD, STRAIGHT)
-    assert (
-        first_difference(sound.rollout(AHEAD, STRAIGHT), shorter)
-        == "safe after 4 s, then safe after 3 s"
-    )
+    driven = sound.rollout(AHEAD, STRAIGHT)
+    return {
+        "a simulator that remembers": [worn.rollout(AHEAD, STRAIGHT) for _ in range(2)],
+        "another decision": (driven, brakes),
+        "another duration": (
+            driven,
+            SimulatorWorld(Bicycle, duration=3.0).rollout(AHEAD, STRAIGHT),
+        ),
+    }
 
 
-def test_a_finding_of_a_simulator_that_does_not_repeat_says_when_and_by_how_much():
+def test_runs_that_differ_are_told_apart():
+    for one, other in differing().values():
+        assert first_difference(one, other)
+        assert first_difference(one, one) == ""
+
+
+def test_a_finding_of_a_simulator_that_does_not_repeat_is_flaky():
     world = SimulatorWorld(Worn, duration=10.0)
     found = pafot.explore(STRAIGHT, holds=never_collides, world=world, runs=8, seed=1)
-    (flaky,) = {each.flaky.partition(" differs by ")[0] for each in found.findings}
-    assert flaky.startswith("running it again gave a different run: ")
+    assert found.findings
     assert all(each.flaky.endswith(SURVIVES) for each in found.findings)
