@@ -17,6 +17,7 @@ from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world import Highway, NpcLimits
 from pytest_pafot.world.kernel.bodies import Body
+from tests.helpers.tables import table
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario
 
 HZ = 20
@@ -77,13 +78,12 @@ def first(condition):
 
 
 LEADER = (1, 60.0, SPEED_OF_ALL, "keep@20")
+FOLLOWER = (1, -KEPT, SPEED_OF_ALL, "keep@20")
 
 
 def test_npc_follows_ego_as_far_as_other_npcs():
-    behind_ego, behind_npc = (
-        Scene((1, -50.0, 26.0, "keep@26")),
-        Scene((3, -50.0, 26.0, "keep@26"), (3, 1.0, 20.0, "keep@20")),
-    )
+    behind_ego = Scene((1, -50.0, 26.0, "keep@26"))
+    behind_npc = Scene((3, -50.0, 26.0, "keep@26"), (3, 1.0, 20.0, "keep@20"))
     behind_ego.drive(30.0)
     behind_npc.drive(30.0)
     assert behind_ego.gap == pytest.approx(KEPT, abs=0.1)
@@ -98,17 +98,16 @@ def test_npc_in_paper_traffic_drives_through_the_ego():
 
 
 def test_braking_with_somebody_ahead_is_answered_at_once():
-    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"), LEADER)
+    scene = Scene(FOLLOWER, LEADER)
     scene.drive(2.0)
     accelerations, _ = scene.drive(0.3, acceleration=-4.0)
     assert first(accelerations < -0.1) <= 2
 
 
-@pytest.mark.parametrize(
-    "ahead", [None, (2, 20.0, SPEED_OF_ALL, "keep@20")], ids=["nobody", "in the next lane"]
-)
+@table("ahead", [(), ((2, 20.0, SPEED_OF_ALL, "keep@20"),)])
 def test_braking_without_leader_is_answered_one_second_later(ahead):
-    scene = Scene((1, -40.0, SPEED_OF_ALL, "keep@20"), *([ahead] if ahead else []))
+    """Also with another vehicle in the next lane."""
+    scene = Scene((1, -40.0, SPEED_OF_ALL, "keep@20"), *ahead)
     scene.drive(2.0)
     accelerations, _ = scene.drive(5.0, acceleration=-8.0)
     assert 1.0 < first(accelerations < -0.01) / HZ < 2.5
@@ -116,15 +115,15 @@ def test_braking_without_leader_is_answered_one_second_later(ahead):
 
 
 def test_close_follower_answers_exactly_after_its_reaction_time():
-    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
+    scene = Scene(FOLLOWER)
     scene.drive(3.0)
     accelerations, _ = scene.drive(2.0, acceleration=-2.0)
     assert first(accelerations < -0.1) / HZ == pytest.approx(1.0, abs=2.1 / HZ)
 
 
-@pytest.mark.parametrize("braking", [1.0, 2.0, 3.0])
+@table("braking", [1.0, 2.0, 3.0])
 def test_ego_stopping_gently_for_nothing_is_not_hit(braking):
-    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
+    scene = Scene(FOLLOWER)
     scene.drive(3.0)
     scene.drive(30.0, acceleration=-braking)
     assert scene.ego.speed == 0.0
@@ -137,7 +136,7 @@ def test_npc_predicts_position_of_a_steady_ego_exactly():
     assert led.drive(4.0)[0] == pytest.approx(alone.drive(4.0)[0], abs=1e-6)
 
 
-@pytest.mark.parametrize("leader", [(), (LEADER,)], ids=["nobody ahead", "somebody ahead"])
+@table("leader", [(), (LEADER,)])
 def test_ego_moving_in_is_answered_a_second_later(leader):
     scene = Scene((2, -4.0, SPEED_OF_ALL, "keep@20"), *((2, *each[1:]) for each in leader))
     scene.drive(2.0)
@@ -155,13 +154,10 @@ def test_npc_moving_in_behind_adjusts_distance_at_once():
     assert scene.gap > 0.8 * KEPT
 
 
-@given(
-    st.floats(2.0, 26.0),
-    st.floats(2.0, 26.0),
-    st.floats(0.1, 60.0),
-    st.booleans(),
-    st.integers(0, 26),
-)
+speeds = st.floats(2.0, 26.0)
+
+
+@given(speeds, speeds, st.floats(0.1, 60.0), st.booleans(), st.integers(0, 26))
 @example(19.0, 20.0, 6.0, True, 10)
 @example(19.0, 20.0, 11.5, True, 10)
 @example(25.0, 15.0, 23.0, False, 25)
@@ -180,9 +176,7 @@ def test_ego_lane_is_entered_only_with_enough_room(npc_speed, ego_speed, gap, is
     assert (scene.npc.heading_for == 1) == (gap > needed)
 
 
-@pytest.mark.parametrize(
-    ("style", "gap", "share"), [("assertive", 6.0, 0.3), ("everyday", 11.0, 0.5)]
-)
+@table(("style", "gap", "share"), [("assertive", 6.0, 0.3), ("everyday", 11.0, 0.5)])
 def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
     for speed in (10.0, 18.0, 26.0):
         needed = max(gap, share * speed)
@@ -192,25 +186,17 @@ def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
             assert (scene.npc.heading_for == 1) == enters
 
 
-@pytest.mark.parametrize(
-    ("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)]
-)
+@table(("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)])
 def test_rear_cell_is_where_an_npc_may_follow(speed, clearance, expected):
-    scenario = Scenario(
-        npcs=[[PositionInstruction(6, speed)]],
-        ego_speed=speed,
-        gene_seconds=30.0,
-        traffic="hostile",
-    )
+    npcs, common = [[PositionInstruction(6, speed)]], {"gene_seconds": 30.0, "traffic": "hostile"}
+    scenario = Scenario(npcs=npcs, ego_speed=speed, **common)
     trace = Highway(clearance=clearance, headway=3.0).rollout(scenario, constant_speed)
-    assert trace.arrivals != ((None,),)
     arrived = trace.arrivals[0][0]
+    assert arrived is not None
     gap = trace.ego[arrived, X] - trace.npcs[arrived, 0, X] - LENGTH
     assert gap == pytest.approx(expected, abs=LENGTH / 2)
-    assert (
-        Highway(clearance=clearance).rollout(replace(scenario), constant_speed).outcome
-        is Outcome.COMPLETED
-    )
+    usual = Highway(clearance=clearance).rollout(scenario, constant_speed)
+    assert usual.outcome is Outcome.COMPLETED
 
 
 def test_reversing_ego_gets_no_room_for_its_speed():
@@ -221,12 +207,9 @@ def test_reversing_ego_gets_no_room_for_its_speed():
 
 @given(seed=st.integers(0, 2**32), style=st.sampled_from(["assertive", "everyday"]))
 def test_limits_of_a_style_hold_at_every_tick_with_any_ego(seed, style):
-    rng = random.Random(seed)
-    traffic = STYLES[style]
-    scenario = replace(
-        random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4)), traffic=style
-    )
-    trace = Highway(duration=15.0).rollout(scenario, rng.choice(EGOS))
+    rng, traffic = random.Random(seed), STYLES[style]
+    drawn = random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4))
+    trace = Highway(duration=15.0).rollout(replace(drawn, traffic=style), rng.choice(EGOS))
     across = abs(np.diff(trace.npcs[..., Y], axis=0)) / trace.dt
     assert across.max(initial=0.0) <= traffic.lateral_speed + 1e-9
     free = unhindered(trace)
@@ -243,8 +226,6 @@ def unhindered(trace):
     # no vehicle hinders itself
     hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False
     hindered = hindering.any(axis=2)
-    lately = [
-        hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30)
-        for tick in range(len(hindered))
-    ]
-    return ~np.array(lately)
+    lately = np.array([hindered[max(t - 30, 0) : t + 1].any(axis=0) for t in range(len(hindered))])
+    lately[:30] = True
+    return ~lately

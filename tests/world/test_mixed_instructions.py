@@ -18,6 +18,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
 from tests.helpers.road_cases import violations, world_of
+from tests.helpers.tables import table
 from tests.helpers.world_cases import TRAFFICS, constant_speed, idm
 
 LI, PI = LaneInstruction, PositionInstruction
@@ -30,43 +31,37 @@ def world_named(name):
 
 def space_in(world, **given):
     """Return the space of scenarios of both kinds, and of all that cross, in a world."""
-    given = {
-        "instructions": "both",
-        "npcs": 3,
-        "crossings": world.crossings,
-        "gene_seconds": 2.0,
-        **given,
-    }
-    return space_on(world.speed_limit, world.longest_run, given, world.road_start)
+    usual = {"instructions": "both", "npcs": 3, "crossings": world.crossings, "gene_seconds": 2.0}
+    return space_on(world.speed_limit, world.longest_run, usual | given, world.road_start)
 
 
 def repeated(world, scenario, ego):
     """Return the run of a scenario, after checking that its executed scenario gives the same run."""
     trace = world.rollout(scenario, ego)
     again = world.rollout(trace.executed, ego)
-    assert (again.executed, again.driven, again.arrivals) == (
-        trace.executed,
-        trace.driven,
-        trace.arrivals,
-    )
+    for name in ("executed", "driven", "arrivals"):
+        assert getattr(again, name) == getattr(trace, name)
     assert again.states.tobytes() == trace.states.tobytes()
     return trace
 
 
+def steady():
+    return lambda seen: (0.0, 0.0)
+
+
 @pytest.mark.parametrize("name", ["Highway", *BENT])
 @settings(max_examples=6, deadline=None)
-@given(st.data())
-def test_executed_scenario_gives_the_same_run_again(name, data):
+@given(st.integers(0, 2**32))
+def test_executed_scenario_gives_the_same_run_again(name, seed):
     world = world_named(name)
-    drawn = data.draw(st.integers(0, 2**32))
-    scenario = sample(space_in(world, npcs=2 if name in BENT else 3), np.random.default_rng(drawn))
+    space = space_in(world, npcs=2 if name in BENT else 3)
+    scenario = sample(space, np.random.default_rng(seed))
     trace = repeated(world, scenario, idm)
     for chain, done in zip(scenario.npcs, trace.executed.npcs, strict=True):
         assert [type(gene) for gene in done] == [type(gene) for gene in chain]
         if isinstance(chain[0], LaneInstruction):
-            assert all(
-                was.lane in (gene.lane, "keep") for gene, was in zip(chain, done, strict=True)
-            )
+            pairs = zip(chain, done, strict=True)
+            assert all(was.lane in (gene.lane, "keep") for gene, was in pairs)
 
 
 @pytest.mark.parametrize("name", ["merge-v1", "racetrack-v1", "u-turn-v1"])
@@ -74,9 +69,8 @@ def test_npcs_in_lanes_respect_limits_and_stay_on_lanes_in_bends(name):
     world, rng = world_named(name), np.random.default_rng(7)
     for number in range(4):
         traffic = TRAFFICS[number % len(TRAFFICS)]
-        trace = world.rollout(
-            sample(space_in(world, npcs=2, traffic=traffic, instructions="lanes"), rng), idm
-        )
+        space = space_in(world, npcs=2, traffic=traffic, instructions="lanes")
+        trace = world.rollout(sample(space, rng), idm)
         assert violations(trace, world) == [], trace.scenario.canonical()
 
 
@@ -93,28 +87,20 @@ def test_npc_on_grid_and_npc_in_lanes_do_not_head_for_one_place():
     between = [[PI(1, 20.0)] * 2, [LI("right", 20.0), LI("right", 20.0)]]
     for npcs in (between, between[::-1]):
         scenario = Scenario(npcs=npcs, ego_lane=1, ego_speed=20.0, gene_seconds=4.0)
-        trace = Highway(duration=8.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+        trace = Highway(duration=8.0).rollout(scenario, steady)
         assert trace.outcome is not Outcome.INVALID
         apart = abs(np.diff(trace.npcs[..., 0], axis=1))
         beside = abs(np.diff(trace.npcs[..., Y], axis=1)) < 2.0
         assert not (beside & (apart < 5.0)).any()
 
 
-def test_attentive_npc_in_lanes_leaves_room_for_its_target_speed():
+@table(("speed", "crosses"), [(20.0, True), (0.0, False)])
+def test_attentive_npc_in_lanes_leaves_room_for_its_target_speed(speed, crosses):
     """It is 20 m ahead in the next lane: room for an instruction at the ego's speed, not for one that stops it."""
-
-    def crossed(speed):
-        chain = LI("keep", 20.0), LI("right", speed)
-        scenario = Scenario(
-            npcs=[chain], ego_lane=1, ego_speed=20.0, gene_seconds=2.0, traffic="hostile"
-        )
-        trace = Highway(duration=4.0, headway=0.9, clearance=3.0).rollout(
-            scenario, lambda: lambda seen: (0.0, 0.0)
-        )
-        return bool((trace.npcs[:, 0, LANE] == 1).any())
-
-    assert crossed(20.0)
-    assert not crossed(0.0)
+    npc, common = (LI("keep", 20.0), LI("right", speed)), {"ego_speed": 20.0, "gene_seconds": 2.0}
+    scenario = Scenario(npcs=[npc], ego_lane=1, traffic="hostile", **common)
+    trace = Highway(duration=4.0, headway=0.9, clearance=3.0).rollout(scenario, steady)
+    assert bool((trace.npcs[:, 0, LANE] == 1).any()) is crosses
 
 
 @pytest.mark.parametrize("name", ["Highway", "intersection-v1"])
@@ -126,27 +112,21 @@ def test_children_of_mixed_scenarios_fit_the_world(name, seed):
     durations = (2.0, 3.0, 4.0) if name == "Highway" else ()
     space = space_in(world, npcs=2, gene_durations=durations, patterns=name == "Highway")
     one, other = sample(space, rng), sample(space, rng)
+    fields = "seed", "ego_lane", "ego_speed", "gene_seconds", "traffic"
     for _ in range(12):
         one, other = crossover(one, other, rng)
         one, other = mutate(one, space, rng), mutate(other, space, rng)
         for child in (one, other):
             world.check_fits(child)
-            again = Scenario.repaired(
-                child.npcs, seed=child.seed, ego_lane=child.ego_lane, ego_speed=child.ego_speed,
-                gene_seconds=child.gene_seconds, traffic=child.traffic,
-            )  # fmt: skip
-            assert again == child
+            given = {name: getattr(child, name) for name in fields}
+            assert Scenario.repaired(child.npcs, **given) == child
 
 
 def test_cells_at_a_junction_are_those_of_their_own_npcs():
     """Skipped cells are recorded for the NPC on the grid, although one in lanes and one that crosses come before it."""
     world = world_of("intersection-v1", duration=8.0)
-    zone = sorted(world.crossings.ways)[0]
-    npcs = [
-        [LI("keep", 5.0)] * 4,
-        [CrossingInstruction(zone, 2.0, 8.0)],
-        [PI(6, 8.0), PI(7, 8.0), PI(8, 8.0), PI(1, 8.0)],
-    ]
+    crossing = CrossingInstruction(sorted(world.crossings.ways)[0], 2.0, 8.0)
+    npcs = [[LI("keep", 5.0)] * 4, [crossing], [PI(cell, 8.0) for cell in (6, 7, 8, 1)]]
     lane, speed = world.start
     scenario = Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed, gene_seconds=1.0)
     trace = repeated(world, scenario, idm)
@@ -234,9 +214,8 @@ def test_npc_waits_until_the_one_beside_it_has_left_the_lane():
 
 def test_npc_does_not_steer_into_another_npc():
     """NPC 0, to the left of NPC 1 and equally fast, has the instruction to move over; NPC 1 stays where it is."""
-    trace = drive(
-        scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0
-    )
+    chains = chain("right@22", "keep@22"), chain("keep@22", "keep@22")
+    trace = drive(scenario(*chains), duration=10.0)
     assert trace.outcome is Outcome.COMPLETED
     assert trace.arrivals[0] == (None, 75)
     assert np.all(trace.npcs[:, 0, LANE] == 0)
