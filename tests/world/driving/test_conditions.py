@@ -37,8 +37,23 @@ def module(tmp_path, monkeypatch):
 
 
 def recorded(module, source, seen, ads="decide"):
-    """Return the rows of a decision of a policy, which decides the same as without them."""
-    return rows_of(evaluated(module, source, seen, ads))
+    """Return what is told of a decision of a policy, which decides the same as without."""
+    return facts(rows_of(evaluated(module, source, seen, ads)))
+
+
+ROW = re.compile(r"(?:\S+ )?line (\d+): .*?(?:  \((.*)\))? -> (True|False)")
+
+
+def facts(rows):
+    """Return the line, the values and the outcome in each row."""
+    found = [ROW.match(row).groups() for row in rows]
+    return [(int(line), values or "", outcome == "True") for line, values, outcome in found]
+
+
+def watching(module, *others):
+    """Return the conditions of the policy's file and of others."""
+    files = [module.root / f"{name}_of_conditions.py" for name in ("policy", *others)]
+    return Conditions(files, module.root)
 
 
 def rows_of(conditions, first=MappingProxyType({})):
@@ -48,32 +63,53 @@ def rows_of(conditions, first=MappingProxyType({})):
 
 def evaluated(module, source, seen, ads="decide"):
     """Return the conditions of a decision of a policy, which decides the same as without them."""
-    loaded = module(source)
-    policy = getattr(loaded, ads)
+    policy = getattr(module(source), ads)
     plain, rows = policy(seen), []
-    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(policy, rows):
+    with watching(module).recorded(policy, rows):
         assert policy(seen) == plain
     return rows
 
 
-@pytest.mark.parametrize(("body", "rows"), [
-    ("if seen > 5: return 1\nelif seen > 2: return 2",
-     ["line 3: seen > 2  (seen = 3.142) -> True", "line 2: seen > 5  (seen = 3.142) -> False"]),
-    ("return seen < 3 and missing > 1 or None is None",
-     ["line 2: seen < 3 and missing > 1 or None is None  (seen = 3.142) -> True"]),
-    ("return 1 if not seen else 2", ["line 2: not seen  (seen = 3.142) -> False"]),
-    ("while seen > 1: seen -= 1", ["line 2: seen > 1  (seen = 0.142) -> False"]),
-    ("for lane in range(5):\n    if lane == 2: pass", ["line 3: lane == 2  (lane = 2) -> True"]),
-    ("return [each for each in (1, 2, 9, 3) if each > 5]", ["line 2: each > 5  (each = 9) -> True"]),
-    ("return any(each > seen for each in (1, 9))", ["line 2: each > seen  (each = 9, seen = 3.142) -> True"]),
-    ("return (near := round(seen)) > 2", ["line 2: (near := round(seen)) > 2  (near = 3) -> True"]),
-    ("return (lambda lane: lane < 3)(1)", ["line 2: lane < 3  (lane = 1) -> True"]),
-    ("match seen:\n    case float() if seen > 3: return 1", ["line 3: seen > 3  (seen = 3.142) -> True"]),
-    ("while True: return 1", []),
-], ids=["elif", "and", "ternary", "while", "for", "comprehension", "any", "walrus", "lambda", "match", "constant"],
-)  # fmt: skip
+BODIES = {
+    "elif": ("if seen > 5: return 1\nelif seen > 2: return 2", [(3, "seen = 3.142", True), (2, "seen = 3.142", False)]),
+    "and": ("return seen < 3 and missing > 1 or None is None", [(2, "seen = 3.142", True)]),
+    "ternary": ("return 1 if not seen else 2", [(2, "seen = 3.142", False)]),
+    "while": ("while seen > 1: seen -= 1", [(2, "seen = 0.142", False)]),
+    "for": ("for lane in range(5):\n    if lane == 2: pass", [(3, "lane = 2", True)]),
+    "comprehension": ("return [each for each in (1, 2, 9, 3) if each > 5]", [(2, "each = 9", True)]),
+    "any": ("return any(each > seen for each in (1, 9))", [(2, "each = 9, seen = 3.142", True)]),
+    "walrus": ("return (near := round(seen)) > 2", [(2, "near = 3", True)]),
+    "lambda": ("return (lambda lane: lane < 3)(1)", [(2, "lane = 1", True)]),
+    "match": ("match seen:\n    case float() if seen > 3: return 1", [(3, "seen = 3.142", True)]),
+    "constant": ("while True: return 1", []),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("body", "rows"), BODIES.values(), ids=BODIES)
 def test_conditions_are_told_with_their_values_the_last_one_first(module, body, rows):
     assert recorded(module, f"def decide(seen):\n{indent(body, '    ')}", 3.14159) == rows
+
+
+VALUES = """
+import enum
+import numpy as np
+
+class Mode(enum.Enum):
+    FOLLOW = 1
+
+class Vain:
+    def __repr__(self):
+        raise ValueError
+    __str__ = __len__ = __format__ = __repr__
+
+    def __getattr__(self, name):
+        raise ValueError
+
+def decide(value):
+    return value is None
+ads = lambda seen: decide(seen)
+value = {value}
+"""
 
 
 @pytest.mark.parametrize(("value", "text"), [
@@ -90,33 +126,10 @@ def test_conditions_are_told_with_their_values_the_last_one_first(module, body, 
     ("'a ::error \\x1b'", r"'a \x3a:error \x1b'"),
 ])  # fmt: skip
 def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text):
-    source = f"""
-    import enum
-    import numpy as np
-
-    class Mode(enum.Enum):
-        FOLLOW = 1
-
-    class Vain:
-        def __repr__(self):
-            raise ValueError
-        __str__ = __len__ = __format__ = __repr__
-
-        def __getattr__(self, name):
-            raise ValueError
-
-    def decide(value):
-        return value is None
-    ads = lambda seen: decide(seen)
-    value = {value}
-    """
-    loaded = module(source)
-    rows = []
-    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(
-        loaded.ads, rows
-    ):
+    loaded, rows = module(VALUES.format(value=value)), []
+    with watching(module).recorded(loaded.ads, rows):
         loaded.ads(loaded.value)
-    assert rows_of(rows) == [f"line 17: value is None  (value = {text}) -> False"]
+    assert facts(rows_of(rows)) == [(17, f"value = {text}", False)]
 
 
 def test_truth_is_asked_for_once(module):
@@ -134,24 +147,19 @@ def test_truth_is_asked_for_once(module):
             pass
         return counting.calls
     """
-    (row,) = recorded(module, source, 0)[:1]
-    assert row == "line 11: counting or seen  (counting = Counting, seen = 0) -> False"
+    assert recorded(module, source, 0)[0] == (11, "counting = Counting, seen = 0", False)
 
 
 def test_a_long_condition_is_whole_and_one_of_a_program_is_left_out_whole(module):
     name = "a_name_that_is_longer_than_most"
     tests = [f"{name}.real > {number} and {name}.imag < {'1' * 40}" for number in range(9)]
     tests.append(" and ".join([f"{name} > 1"] * LONGEST))
-    rows = recorded(
-        module,
-        "\n".join([f"def decide({name}):", *(f"    if {each}: pass" for each in tests)]),
-        3.0,
-    )
-    assert rows[1] == f"line 10: {tests[8]}  ({name}.real = 3) -> False"
-    assert [row.partition(":")[0] for row in rows] == [
-        f"line {number}" for number in range(11, 1, -1)
-    ]
-    assert re.fullmatch(r"line 11: condition of \d{5} characters -> True", rows[0])
+    body = "\n".join(f"    if {each}: pass" for each in tests)
+    rows = rows_of(evaluated(module, f"def decide({name}):\n{body}", 3.0))
+    assert tests[8] in rows[1]
+    assert facts(rows)[1] == (10, f"{name}.real = 3", False)
+    assert [line for line, *_ in facts(rows)] == [*range(11, 1, -1)]
+    assert len(rows[0]) < 60
 
 
 FREE = """
@@ -165,16 +173,19 @@ def decide(gaps):
 
 
 def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module):
-    here, there = (
-        evaluated(module, FREE, (30.0, 20.0, 40.0)),
-        evaluated(module, FREE, (30.0, 8.0, 40.0)),
-    )
-    assert rows_of(here, parting(here, there, "with NPC 0 nearer", is_other=True)) == [
-        "line 6: gap < 10  (gap = 20) -> False; with NPC 0 nearer True",
-        "line 7: gaps  (gaps = tuple of 3) -> True",
-        "line 5: gap < 0  (gap = 40) -> False",
-        "line 3: len(gaps) > 9  (len(gaps) = 3) -> False",
-    ]
+    here = evaluated(module, FREE, (30.0, 20.0, 40.0))
+    there = evaluated(module, FREE, (30.0, 8.0, 40.0))
+    rows = rows_of(here, parting(here, there, "with NPC 0 nearer", is_other=True))
+    assert rows[0].endswith("; with NPC 0 nearer True")
+    assert facts(rows) == [
+        (6, "gap = 20", False), (7, "gaps = tuple of 3", True), (5, "gap = 40", False), (3, "len(gaps) = 3", False)
+    ]  # fmt: skip
+    there = evaluated(module, FREE, (30.0, 52.0, 40.0))
+    assert not parting(here, there, "", is_other=True)
+    # conditions with other values are those of an answer that stays the same
+    rows = rows_of(here, parting(here, there, "with NPC 0 further away", is_other=False))[:2]
+    assert facts(rows) == [(6, "gap = 20", False), (5, "gap = 20", False)]
+    assert all(row.endswith("; also with NPC 0 further away") for row in rows)
 
 
 def whom_of(module, source, seen, nudges):
@@ -190,18 +201,14 @@ def test_conditions_are_grouped_by_the_vehicle_whose_place_their_values_change_w
     """The NPC that is asked about is first, and has its own evaluation of a loop over all."""
     nudges = [(30.01, 8.0, 40.0), (30.0, 8.01, 40.0), (30.0, 8.0, 40.01)]
     here, whom = whom_of(module, FREE, (30.0, 8.0, 40.0), nudges)
-    assert group_conditions(here, npc=0, whom=whom) == (
-        (
-            "NPC 0",
-            ("line 6: gap < 10  (gap = 30) -> False", "line 5: gap < 0  (gap = 30) -> False"),
-        ),
-        (NOBODY, ("line 3: len(gaps) > 9  (len(gaps) = 3) -> False",)),
-        ("NPC 1", ("line 6: gap < 10  (gap = 8) -> True", "line 5: gap < 0  (gap = 8) -> False")),
-    )
-    assert [whom_ for whom_, _ in group_conditions(here, npc=2, whom=whom)] == [
-        NOBODY,
-        "NPC 1",
-    ]  # the loop ended before
+    groups = group_conditions(here, npc=0, whom=whom)
+    assert [(who, facts(rows)) for who, rows in groups] == [
+        ("NPC 0", [(6, "gap = 30", False), (5, "gap = 30", False)]),
+        (NOBODY, [(3, "len(gaps) = 3", False)]),
+        ("NPC 1", [(6, "gap = 8", True), (5, "gap = 8", False)]),
+    ]
+    # the loop ended before
+    assert [who for who, _ in group_conditions(here, npc=2, whom=whom)] == [NOBODY, "NPC 1"]
 
 
 TRACKS = """
@@ -220,15 +227,16 @@ def decide(seen):
 """
 
 
+MADE = ["Track(seen[:1])", "[seen[0]]", "Wish(seen[0])", "Wish([Track(seen)[0]])"]
+
+
 @pytest.mark.parametrize(
-    "made", ["Track(seen[:1])", "[seen[0]]", "Wish(seen[0])", "Wish([Track(seen)[0]])"]
+    ("made", "who"), [*((each, "NPC 0") for each in MADE), ("Wish(seen)", "NPC 0, NPC 1")]
 )
-def test_what_is_in_an_object_of_the_user_says_whom_a_condition_is_about(module, made):
+def test_what_is_in_an_object_of_the_user_says_whom_a_condition_is_about(module, made, who):
     nudges = [(30.01, 40.0), (30.0, 40.01)]
     here, whom = whom_of(module, TRACKS.format(made=made), (30.0, 40.0), nudges)
-    assert [each for each, _ in group_conditions(here, npc=0, whom=whom)] == ["NPC 0"]
-    here, whom = whom_of(module, TRACKS.format(made="Wish(seen)"), (30.0, 40.0), nudges)
-    assert [each for each, _ in group_conditions(here, npc=0, whom=whom)] == ["NPC 0, NPC 1"]
+    assert [each for each, _ in group_conditions(here, npc=0, whom=whom)] == [who]
 
 
 def test_an_evaluation_of_another_vehicle_is_no_other_outcome_of_this_one(module):
@@ -247,26 +255,11 @@ def test_a_decision_is_compared_until_it_goes_another_way(module):
 
 
 def test_the_cause_is_before_what_it_causes(module):
-    source = (
-        "def decide(gaps):\n    return [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99\n"
-    )
-    here, there = evaluated(module, source, (20.0,)), evaluated(module, source, (5.0,))
-    assert list(parting(here, there, "then", is_other=True)) == [
-        "line 2: gap < 10",
-        "line 2: [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99",
-    ]
-
-
-def test_conditions_with_other_values_are_those_of_an_answer_that_stays_the_same(module):
-    here, there = (
-        evaluated(module, FREE, (30.0, 20.0, 40.0)),
-        evaluated(module, FREE, (30.0, 52.0, 40.0)),
-    )
-    assert rows_of(here, parting(here, there, "with NPC 0 further away", is_other=False))[:2] == [
-        "line 6: gap < 10  (gap = 20) -> False; also with NPC 0 further away",
-        "line 5: gap < 0  (gap = 20) -> False; also with NPC 0 further away",
-    ]
-    assert not parting(here, there, "", is_other=True)
+    condition = "[1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99"
+    source = f"def decide(gaps):\n    return {condition}\n"
+    here, there = (evaluated(module, source, seen) for seen in ((20.0,), (5.0,)))
+    found = list(parting(here, there, "then", is_other=True))
+    assert found == ["line 2: gap < 10", f"line 2: {condition}"]
 
 
 TWO_FILES = """
@@ -284,17 +277,18 @@ decide = Planner()
 
 def test_conditions_of_several_files_are_told_with_the_file(module):
     module("def gap(seen):\n    return seen if seen > 0 else 0.0\n", "helper_of_conditions")
-    policy = module(TWO_FILES).decide
-    files = [module.root / f"{name}_of_conditions.py" for name in ("policy", "helper")]
-    rows = []
-    with Conditions(files, module.root).recorded(policy, rows):
+    policy, conditions, rows = module(TWO_FILES).decide, watching(module, "helper"), []
+    with conditions.recorded(policy, rows):
         assert policy(3.0)
-    helper = "helper_of_conditions.py line 2: seen > 0  (seen = 3) -> True"
-    rows = rows_of(rows)
-    assert rows[-1] == helper
-    assert rows[0].startswith("policy_of_conditions.py line 8: ")
-    assert "gap(seen) = 3" in rows[0]
-    assert not Conditions(files, module.root / "elsewhere")
+    first, *_, last = rows_of(rows)
+    assert [each.split()[0] for each in (first, last)] == [
+        "policy_of_conditions.py",
+        "helper_of_conditions.py",
+    ]
+    assert facts([last]) == [(2, "seen = 3", True)]
+    assert facts([first])[0][0] == 8
+    assert "gap(seen) = 3" in first
+    assert not Conditions([module.root / "policy_of_conditions.py"], module.root / "elsewhere")
 
 
 CLOSURE = """
@@ -314,10 +308,7 @@ def make():
 @pytest.mark.parametrize("seen", [1, 10], ids=["decides", "raises"])
 def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
     policy = module(CLOSURE).make()
-    conditions, code = (
-        Conditions([module.root / "policy_of_conditions.py"], module.root),
-        policy.__code__,
-    )
+    conditions, code = watching(module), policy.__code__
     for number in range(2):
         rows = []
         try:
@@ -326,11 +317,8 @@ def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
         except RuntimeError:
             assert (seen, rows) == (10, [])
         else:
-            value = 2 + 2 * number
-            assert (
-                rows_of(rows)[0]
-                == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
-            )
+            values = f"len(state) = {2 + 2 * number}"
+            assert facts(rows_of(rows))[0] == (10, values, number == 1)
         assert policy.__code__ is code
     cells = policy.__closure__[0].cell_contents
     assert len(cells) == (4 if seen == 1 else 2)
@@ -338,20 +326,15 @@ def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
 
 
 def test_other_threads_are_not_recorded(module):
-    policy = module("def decide(seen):\n    return seen > 1\n").decide
-    rows = []
-    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(policy, rows):
+    policy, rows = module("def decide(seen):\n    return seen > 1\n").decide, []
+    with watching(module).recorded(policy, rows):
         thread = threading.Thread(target=policy, args=[3])
         thread.start()
         thread.join()
     assert rows == []
 
 
-@pytest.mark.parametrize(
-    "ads",
-    ["lambda seen: running.send(seen)", "running.send", "Planner()"],
-    ids=["closure", "method", "attribute"],
-)
+@pytest.mark.parametrize("ads", ["lambda seen: running.send(seen)", "running.send", "Planner()"])
 def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module, ads):
     source = f"""
     def steps():
@@ -379,17 +362,15 @@ def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module
 
 
 def test_nothing_is_told_of_a_file_that_changed_or_cannot_be_read(module):
-    policy, file = (
-        module("def decide(seen):\n    return seen > 1\n").decide,
-        module.root / "policy_of_conditions.py",
-    )
+    policy = module("def decide(seen):\n    return seen > 1\n").decide
+    file = module.root / "policy_of_conditions.py"
     for text in ("def decide(seen):\n    return seen > 2\n", "def decide(", "\0"):
         file.write_text(text)
         rows = []
-        with Conditions([file], module.root).recorded(policy, rows):
+        with watching(module).recorded(policy, rows):
             assert policy(2)
         assert rows == []
     file.write_text("def decide(seen):\n    return 1\n")
-    assert not Conditions([file], module.root)  # it has no condition
+    assert not watching(module)  # it has no condition
     file.unlink()
     assert not Conditions([file, module.root], module.root)
