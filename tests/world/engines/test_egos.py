@@ -27,9 +27,8 @@ from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
 from tests.helpers.world_cases import TRAFFICS, constant_speed
 
-SCENARIO = Scenario(
-    npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0
-)
+NPCS = [[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]]
+SCENARIO = Scenario(npcs=NPCS, gene_seconds=4.0)
 
 
 class Own(IDMVehicle):
@@ -71,17 +70,15 @@ def test_class_with_code_of_its_own_is_not_driven_by_the_model(monkeypatch):
     assert idm_model(IDMVehicle) is not None
     assert idm_model(Own).constants["TIME_WANTED"] == 1.0
     assert [idm_model(each) for each in (Behind, Descriptor, Made)] == [None] * 3
-    for cls, name in (
+    for thing, name in (
         (IDMVehicle, "acceleration"),
         (MDPVehicle.__base__, "steering_control"),
         (Vehicle, "step"),
+        (road.Road, "neighbour_vehicles"),
+        (utils, "not_zero"),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(cls, name, lambda *_, **__: 0.0)
-            assert idm_model(Own) is None
-    for thing, name in ((road.Road, "neighbour_vehicles"), (utils, "not_zero")):
-        with monkeypatch.context() as patch:
-            patch.setattr(thing, name, lambda *given: None)
+            patch.setattr(thing, name, lambda *_, **__: 0.0)
             assert idm_model(Own) is None
     assert idm_model(Own) is not None
 
@@ -101,13 +98,9 @@ def test_run_equals_that_of_env_step_exactly(seed):
     assert_same(Case.random(seed))
 
 
-def in_python(vehicle_class):
+def in_python(cls):
     """Return a vehicle class that drives the same, but has code of its own, so that its objects drive."""
-    return type(
-        "InPython",
-        (vehicle_class,),
-        {"act": lambda self, action=None: vehicle_class.act(self, action)},
-    )
+    return type("InPython", (cls,), {"act": lambda self, action=None: cls.act(self, action)})
 
 
 def test_compared_random_runs_cover_all_egos_and_ends():
@@ -178,11 +171,8 @@ def test_compiled_model_drives_whichever_class_it_equals(drivers, ads, expected)
 
 
 def test_world_says_which_classes_the_compiled_model_drives():
-    told = {
-        ads: Highway().runs_in_kernel(ads)
-        for ads in (IDMVehicle, Hurried, OwnRules, constant_speed)
-    }
-    assert told == {IDMVehicle: True, Hurried: True, OwnRules: False, constant_speed: False}
+    given = IDMVehicle, Hurried, OwnRules, constant_speed
+    assert [Highway().runs_in_kernel(ads) for ads in given] == [True, True, False, False]
 
 
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0")])
@@ -194,12 +184,10 @@ def test_reference_drivers_get_through_as_planners(world, drivers):
 
 def test_record_has_no_room_for_ticks_beyond_the_run():
     """The kernel writes without looking at each index, so one look must keep it within its buffer."""
-    world, scenario = (
-        Highway(),
-        Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0),
-    )
+    world, npcs = Highway(), [[PositionInstruction(2, 20.0)]]
+    scenario = Scenario.repaired(npcs, seed=1, ego_lane=1, ego_speed=20.0)
     run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
     for _ in range(world.rules.ticks(scenario)):
         run.loop.moved()
-    with pytest.raises(IndexError, match="expected room for tick"):
+    with pytest.raises(IndexError):
         run.loop.moved()

@@ -51,12 +51,14 @@ def test_policy_crashes_where_it_does_without_this_package(env_id, config, seeds
         assert episode.crashed is by_hand(world, undecided, seed), seed
 
 
+def crashes(factory, **given):
+    """Return by seed whether an ADS crashes in an episode."""
+    return [drive_episode(FAST, factory, seed, **given).crashed for seed in range(6)]
+
+
 def test_vehicle_class_and_planner_take_the_place_of_the_ego():
-    seeds = range(6)
-    assert not any(drive_episode(FAST, idm_mobil.make, seed).crashed for seed in seeds)
-    assert any(
-        drive_episode(FAST, constant_speed.make, seed, is_planner=True).crashed for seed in seeds
-    )
+    assert not any(crashes(idm_mobil.make))
+    assert any(crashes(constant_speed.make, is_planner=True))
 
 
 def test_crash_counts_though_the_environment_forgets_it(monkeypatch):
@@ -67,17 +69,10 @@ def test_crash_counts_though_the_environment_forgets_it(monkeypatch):
             env.reset()
         return seen, reward, *ends, info
 
-    drives = [(each, seed) for each in (undecided, constant_speed.make) for seed in range(6)]
-    episodes = [drive_episode(FAST, *each, is_planner=each[0] is not undecided) for each in drives]
+    found = crashes(undecided), crashes(constant_speed.make, is_planner=True)
     monkeypatch.setattr(HighwayEnvFast, "step", forgetful)
-    assert [
-        drive_episode(FAST, *each, is_planner=each[0] is not undecided) for each in drives
-    ] == episodes
-    assert (
-        {each.crashed for each in episodes[:6]}
-        == {each.crashed for each in episodes[6:]}
-        == {True, False}
-    )
+    assert (crashes(undecided), crashes(constant_speed.make, is_planner=True)) == found
+    assert {*found[0]} == {*found[1]} == {True, False}
 
 
 def test_planner_sees_the_traffic_and_its_own_last_controls():
@@ -93,15 +88,12 @@ def test_planner_sees_the_traffic_and_its_own_last_controls():
 
 def test_planner_may_simulate_the_environment():
     def looking_ahead(env):
-        def act(observation):
-            for action in (3, 1, 4):
-                future = env.unwrapped.simplify()
-                future.step(action)
-                if not future.vehicle.crashed:
-                    return action
-            return 4
+        def crashes(action):
+            future = env.unwrapped.simplify()
+            future.step(action)
+            return future.vehicle.crashed
 
-        return act
+        return lambda observation: next((each for each in (3, 1, 4) if not crashes(each)), 4)
 
     world = pafot.World("highway-fast-v0", {**SHORT, "duration": 4})
     assert drive_episode(world, looking_ahead, 0) == Episode(0)
@@ -112,36 +104,28 @@ def test_failing_or_hanging_ads_ends_its_episode():
         actions = [1, 1]
         return lambda seen: actions.pop()
 
-    failed = drive_episode(FAST, raising, 0)
-    assert (failed.crashed, failed.error.kind) == (False, "IndexError")
-    impatient = pafot.World("highway-fast-v0", SHORT, hang_limit=0.1)
-    hung = drive_episode(impatient, lambda: lambda seen: time.sleep(5), 0)
-    assert (hung.crashed, hung.error.interrupted) == (False, True)
-    broken = drive_episode(FAST, lambda: 1 / 0, 0)
-    assert broken.error.kind == "ZeroDivisionError"
-    planner = drive_episode(FAST, lambda: lambda seen: "left", 0, is_planner=True)
-    assert planner.error.kind == "BadAction"
-
     class Stuck(IDMVehicle):
         def act(self, action=None):
             raise KeyError("lane")
 
-    assert drive_episode(FAST, lambda: Stuck, 0).error.kind == "KeyError"
+    failed = [drive_episode(FAST, ads, 0) for ads in (raising, lambda: 1 / 0, lambda: Stuck)]
+    assert [each.error.kind for each in failed] == ["IndexError", "ZeroDivisionError", "KeyError"]
+    assert not any(each.crashed for each in failed)
+    impatient = pafot.World("highway-fast-v0", SHORT, hang_limit=0.1)
+    hung = drive_episode(impatient, lambda: lambda seen: time.sleep(5), 0)
+    assert (hung.crashed, hung.error.interrupted) == (False, True)
+    planner = drive_episode(FAST, lambda: lambda seen: "left", 0, is_planner=True)
+    assert planner.error.kind == "BadAction"
 
 
 def test_a_planner_needs_a_straight_road():
-    with pytest.raises(
-        WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"
-    ):
+    with pytest.raises(WorldError):
         drive_episode(pafot.World("merge-v0"), constant_speed.make, 0, is_planner=True)
 
 
 def test_imperfect_sight_needs_a_planner():
-    blind = pafot.Perception(constant_speed.make, range=1.0)
-    with pytest.raises(
-        AdsFactoryError, match=r"expected the ADS in a pafot\.Perception to be a planner"
-    ):
-        drive_episode(FAST, blind, 0)
+    with pytest.raises(AdsFactoryError):
+        drive_episode(FAST, pafot.Perception(constant_speed.make, range=1.0), 0)
     seen = []
     looks = pafot.Perception(lambda: lambda now: seen.append(now) or (0.0, 0.0), range=1.0)
     drive_episode(FAST, looks, 0, is_planner=True)
@@ -150,16 +134,14 @@ def test_imperfect_sight_needs_a_planner():
 
 def test_environment_needing_its_own_ego_says_so():
     episode = drive_episode(pafot.World("lane-keeping-v0"), idm_mobil.make, 0)
-    message = "AttributeError: 'IDMVehicle' object has no attribute 'state'"
-    assert (episode.crashed, episode.error.text) == (False, message)
+    assert (episode.crashed, episode.error.kind) == (False, "AttributeError")
+    assert "'state'" in episode.error.message
 
 
 def test_environment_that_counts_its_steps_ends(monkeypatch):
     monkeypatch.setattr(gymnasium.spec("highway-fast-v0"), "max_episode_steps", 10)
-    asked = []
-    drive_episode(
-        pafot.World("highway-fast-v0", SHORT), lambda: lambda seen: asked.append(seen) or 1, 0
-    )
+    asked, world = [], pafot.World("highway-fast-v0", SHORT)
+    drive_episode(world, lambda: lambda seen: asked.append(seen) or 1, 0)
     assert len(asked) == 10
 
 

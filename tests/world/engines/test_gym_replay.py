@@ -1,7 +1,5 @@
 """The plain registered environment gives the same runs, for every kind of ADS and every ending."""
 
-import random
-
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -15,15 +13,7 @@ from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving.vehicles import StockVehicle, TrafficClass
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
-from tests.helpers.world_cases import constant_speed, random_scenario
-
-
-def scenarios(seed, count, **arguments):
-    rng = random.Random(seed)
-    return [
-        random_scenario(rng, **{"lanes": 4, "speed_limit": 26.8, "npcs": 2, **arguments})
-        for _ in range(count)
-    ]
+from tests.helpers.world_cases import constant_speed
 
 
 def test_environment_drives_its_own_road_and_vehicles():
@@ -43,26 +33,27 @@ def test_environment_drives_its_own_road_and_vehicles():
 def test_idm_with_a_constant_of_zero_drives_as_highway_envs_code(constant):
     """The compiled model cannot divide by it, so that highway-env's own code drives."""
     ads = type("Zero", (IDMVehicle,), {constant: 0.0})
-    for world, speed in (
-        (Highway(duration=6.0), 20.0),
-        (World("roundabout-v0", duration=6.0), 8.0),
-    ):
+    worlds = {20.0: Highway(duration=6.0), 8.0: World("roundabout-v0", duration=6.0)}
+    for speed, world in worlds.items():
         slow = Scenario(npcs=[[PositionInstruction(2, 3.0)]], ego_lane=1, ego_speed=speed)
         with c_library():
             assert differences(world.rollout(slow, ads), world.rollout_in_gym(slow, ads)) == []
 
 
-def test_two_runs_that_differ_are_told_apart():
-    world = Highway()
-    ends_otherwise = Scenario(npcs=((PositionInstruction(2, 0.0),),))
-    hit = world.rollout(ends_otherwise, constant_speed)
-    safe = world.rollout(ends_otherwise, lambda: lambda observation: (-3.0, 0.0))
-    assert hit.outcome is Outcome.COLLISION
-    assert disagreement(Run(hit), Run(safe)) == "collision at 6.3 s, then safe for 10.0 s"
-    slower = world.rollout(ends_otherwise, lambda: lambda observation: (-2.9, 0.0))
-    assert disagreement(Run(safe), Run(slower)) == "x of the ego differs by 0.5 m after 3.2 s"
-    later = world.rollout(
-        Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)),
-        constant_speed,
+def differing():
+    """Return pairs of runs that differ, by what differs."""
+    stops = Scenario(npcs=((PositionInstruction(2, 0.0),),))
+    hit, safe, slower = (
+        Run(Highway().rollout(stops, lambda braking=braking: lambda observation: (braking, 0.0)))
+        for braking in (0.0, -3.0, -2.9)
     )
-    assert "then <Collision" in disagreement(Run(hit), Run(later))
+    cuts_in = Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),))
+    later = Run(Highway().rollout(cuts_in, constant_speed))
+    assert [each.outcome for each in (hit, safe)] == [Outcome.COLLISION, Outcome.COMPLETED]
+    return {"the outcome": (hit, safe), "the states": (safe, slower), "the collision": (hit, later)}
+
+
+def test_two_runs_that_differ_are_told_apart():
+    for one, other in differing().values():
+        assert disagreement(one, other)
+        assert disagreement(one, one) == ""
