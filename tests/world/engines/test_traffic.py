@@ -99,7 +99,7 @@ def by_model(env):
     """What a simulation in tensors copies from an environment: its driver models, with their constants."""
     models = [each for each in env.road.vehicles if isinstance(each, IDMVehicle)]
     names = "target_speed", "timer", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "LANE_CHANGE_DELAY"
-    values = [[getattr(each, name) for name in names] for each in models]
+    values = [[each.LENGTH, *(getattr(each, name) for name in names)] for each in models]
     return [len(env.road.vehicles) - len(models), values]
 
 

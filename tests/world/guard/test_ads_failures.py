@@ -24,7 +24,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.process import Ended, interrupted_by_signals
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 from tests.world.driving.test_ads import CONTINUOUS, GYM, HIGHWAY, SCENARIO, always, worlds
@@ -60,17 +60,12 @@ def test_raising_ads_ends_run_with_its_own_traceback(world, idle):
 
     trace = world.rollout(SCENARIO, failing_after(2, fail, idle))
     every = world.physics_hz // world.ads_hz if world is GYM else 3
-    assert trace.outcome is Outcome.ADS_ERROR
-    assert trace.collision is None
+    assert (trace.outcome, trace.collision) == (Outcome.ADS_ERROR, None)
     assert trace.ticks == trace.error.tick == 2 * every
     assert (trace.error.kind, trace.error.message) == ("CustomFault", "the map has no lane 7")
     report = trace.error.traceback
-    assert report.startswith("Traceback (most recent call last):")
-    assert [line.split()[-1] for line in report.splitlines() if line.startswith("  File")] == [
-        "drive",
-        "fail",
-        "deep",
-    ]
+    places = [line.split()[-1] for line in report.splitlines() if line.startswith("  File")]
+    assert places == ["drive", "fail", "deep"]
     assert "pytest_pafot" not in report
     assert len(trace.actions) == 2
 
@@ -146,79 +141,65 @@ def test_interruption_inside_an_ads_is_no_finding(world, idle, interruption):
     {"position": None},
 ])  # fmt: skip
 def test_vehicle_class_without_finite_state_or_action_is_ads_error(lost):
-    class Lost(IDMVehicle):
-        steps = 0
-
-        def step(self, dt):
-            super().step(dt)
-            self.steps += 1
-            if self.steps == 4:
-                vars(self).update(lost)
-
     for world in (HIGHWAY, GYM):
-        trace = world.rollout(SCENARIO, Lost)
+        trace = world.rollout(SCENARIO, stepping(4, lambda vehicle: vars(vehicle).update(lost)))
         assert (trace.outcome, trace.ticks, trace.error.tick) == (Outcome.ADS_ERROR, 3, 3)
         assert np.isfinite(trace.states).all()
 
 
 def test_vehicle_class_raising_in_step_is_ads_error():
-    class Breaks(IDMVehicle):
+    def breaks(vehicle):
+        raise CustomFault("tyre")
+
+    for run in (HIGHWAY.rollout, HIGHWAY.rollout_in_gym):
+        trace = run(SCENARIO, stepping(31, breaks))
+        assert (trace.outcome, trace.error.text) == (Outcome.ADS_ERROR, "CustomFault: tyre")
+        assert trace.error.tick == trace.ticks == 30
+
+
+def stepping(count, does):
+    """Return a vehicle class that does something in one of its steps."""
+
+    class Stepping(IDMVehicle):
         steps = 0
 
         def step(self, dt):
             super().step(dt)
             self.steps += 1
-            if self.steps > 30:
-                raise CustomFault("tyre")
+            if self.steps == count:
+                does(self)
 
-    for trace in (HIGHWAY.rollout(SCENARIO, Breaks), HIGHWAY.rollout_in_gym(SCENARIO, Breaks)):
-        assert (trace.outcome, trace.error.kind, trace.error.message) == (
-            Outcome.ADS_ERROR,
-            "CustomFault",
-            "tyre",
-        )
-        assert trace.error.tick == trace.ticks == 30
-
-
-PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand, received"
+    return Stepping
 
 
 @table("action", [
     None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
     ("1", "2"),
     {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
+    np.zeros((1000, 3)),
 ])  # fmt: skip
 def test_anything_but_two_finite_numbers_is_bad_action(action):
     trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
-    assert trace.outcome is Outcome.ADS_ERROR
-    assert trace.error.kind == "BadAction"
-    assert trace.error.message.startswith(PAIR)
-    assert (trace.error.traceback, trace.error.tick, trace.ticks) == ("", 3, 3)
+    error = trace.error
+    assert (trace.outcome, error.kind, error.traceback) == (Outcome.ADS_ERROR, "BadAction", "")
+    assert (error.tick, trace.ticks) == (3, 3)
+    assert len(error.message) < 250
+    assert "\n" not in error.message
 
 
-@table(
-    "action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)]
-)
-def test_wrong_discrete_action_is_a_bad_action(action):
-    trace = GYM.rollout(SCENARIO, always(action))
+DISCRETE = [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)]
+CONTINUOUS_ACTIONS = [
+    None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
+    [1j, 0], [None, 0.0], [[1], [2, 3]], {},
+]  # fmt: skip
+
+
+@table(("world", "action"), [
+    *((GYM, action) for action in DISCRETE), *((CONTINUOUS, action) for action in CONTINUOUS_ACTIONS),
+])  # fmt: skip
+def test_wrong_action_for_an_environment_is_a_bad_action(world, action):
+    trace = world.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
-    assert trace.error.message.startswith("expected a whole number from 0 to 4, received ")
-
-
-@table(
-    "action",
-    [None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
-     [1j, 0], [None, 0.0], [[1], [2, 3]], {}])  # fmt: skip
-def test_wrong_continuous_action_is_a_bad_action(action):
-    trace = CONTINUOUS.rollout(SCENARIO, always(action))
-    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
-    assert trace.error.message.startswith("expected finite numbers of shape (2,), received ")
-
-
-def test_huge_wrong_action_is_reported_on_short_line():
-    trace = HIGHWAY.rollout(SCENARIO, always(np.zeros((1000, 3))))
-    assert len(trace.error.message) < 250
-    assert "\n" not in trace.error.message
 
 
 # --- ADSs that hang
@@ -263,9 +244,7 @@ def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, cloc
 
     world = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
     trace = world.rollout(SCENARIO, failing_after(1, hangs, idle))
-    assert trace.outcome is Outcome.HANG
-    assert trace.error.kind == "Hang"
-    assert "hang limit" in trace.error.message
+    assert (trace.outcome, trace.error.kind) == (Outcome.HANG, "Hang")
     assert hang.__name__ in trace.error.traceback
     assert "pytest_pafot" not in trace.error.traceback
     assert trace.ticks == trace.error.tick > 0
@@ -300,20 +279,18 @@ def test_interrupt_that_an_ads_catches_ends_the_run_all_the_same(world, idle, nu
 
 @table("hang", [spinning, spinning_and_going_on])
 def test_busy_hang_outside_main_thread_is_interrupted(hang, clock):
-    received = []
-    world = Highway(hang_limit=0.2)
+    received, world = [], Highway(hang_limit=0.2)
 
     def hangs():
         clock.now += 1.0
         hang()
         return 0.0, 0.0
 
-    thread = threading.Thread(
-        target=lambda: received.extend(
-            world.rollout(SCENARIO, ads)
-            for ads in (failing_after(1, hangs, (0, 0)), always((0, 0)))
-        )
-    )
+    def work():
+        both = failing_after(1, hangs, (0, 0)), always((0, 0))
+        received.extend(world.rollout(SCENARIO, ads) for ads in both)
+
+    thread = threading.Thread(target=work)
     thread.start()
     thread.join(60)
     assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.COMPLETED]
@@ -361,17 +338,16 @@ def test_time_between_decisions_is_not_a_hang():
             assert guard.look() == 0.0
 
 
+def decide(until):
+    """Run in a separate frame, like an ADS: CPython 3.13 puts a ``while``'s jump outside the ``try`` around it."""
+    while time.perf_counter() < until:
+        pass
+
+
 @pytest.mark.parametrize("inside_thread", [False, True])
 def test_late_interruption_never_breaks_the_following_code(inside_thread):
     """Decisions take about the limit, many times: each is interrupted inside, or not at all."""
-    from pytest_pafot.world.guard.hang_guard import AdsHang
-
     escaped = []
-
-    def decide(until):
-        """Run in a separate frame, like an ADS: CPython 3.13 puts a ``while``'s jump outside the ``try`` around it."""
-        while time.perf_counter() < until:
-            pass
 
     def work():
         try:
@@ -398,7 +374,10 @@ def test_late_interruption_never_breaks_the_following_code(inside_thread):
     assert escaped == []
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+user_signals = pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+
+
+@user_signals
 def test_an_interruption_that_comes_late_interrupts_nothing():
     with HangGuard(5.0) as guard:
         signal.raise_signal(signal.SIGUSR1)
@@ -408,7 +387,7 @@ def test_an_interruption_that_comes_late_interrupts_nothing():
         signal.raise_signal(signal.SIGUSR1)
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+@user_signals
 def test_user_signal_handler_is_restored_after_run():
     before = signal.signal(signal.SIGUSR1, handler := lambda number, frame: None)
     try:
