@@ -33,14 +33,10 @@ def corners(box):
 def shared_area(a, b):
     """Return the area of the intersection, by Sutherland and Hodgman's clipping and the shoelace formula."""
     polygon, clip = corners(a), corners(b)
-    for (x1, y1), (x2, y2) in zip(clip, clip[1:] + clip[:1], strict=True):
-
-        def inside(p, x1=x1, y1=y1, x2=x2, y2=y2):
-            return (x2 - x1) * (p[1] - y1) - (y2 - y1) * (p[0] - x1)
-
+    for start, end in zip(clip, clip[1:] + clip[:1], strict=True):
         clipped = []
         for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-            d_p, d_q = inside(p), inside(q)
+            d_p, d_q = polygons.turn(start, end, p), polygons.turn(start, end, q)
             if d_p >= 0:
                 clipped.append(p)
             if (d_p >= 0) != (d_q >= 0):
@@ -49,37 +45,26 @@ def shared_area(a, b):
         polygon = clipped
         if not polygon:
             return 0.0
-    return (
-        abs(
-            sum(
-                p[0] * q[1] - q[0] * p[1]
-                for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True)
-            )
-        )
-        / 2
-    )
+    edges = zip(polygon, polygon[1:] + polygon[:1], strict=True)
+    return abs(sum(p[0] * q[1] - q[0] * p[1] for p, q in edges)) / 2
 
 
 @pytest.mark.parametrize("is_car", [True, False])
 def test_boxes_overlap_exactly_when_they_share_an_area(is_car):
-    rng = random.Random(0)
-    seen = {True: 0, False: 0}
+    rng, seen = random.Random(0), {True: 0, False: 0}
     for _ in range(6000):
-        one, other = (
-            [(5.0, 2.0), (5.0, 2.0)]
-            if is_car
-            else [(rng.uniform(0.5, 12), rng.uniform(0.5, 3)) for _ in "ab"]
-        )
-        turn = 0.0 if is_car else rng.uniform(-math.pi, math.pi)
+        one = other = (5.0, 2.0)
+        turn = 0.0
+        if not is_car:
+            one, other = ((rng.uniform(0.5, 12), rng.uniform(0.5, 3)) for _ in "ab")
+            turn = rng.uniform(-math.pi, math.pi)
         a = Box(rng.uniform(-1e3, 1e3), rng.uniform(-9, 9), rng.gauss(0, 0.3), *one)
-        b = Box(
-            a.x + rng.uniform(-7, 7), a.y + rng.uniform(-4, 4), turn + rng.gauss(0, 0.5), *other
-        )
+        place = a.x + rng.uniform(-7, 7), a.y + rng.uniform(-4, 4), turn + rng.gauss(0, 0.5)
+        b = Box(*place, *other)
         area = shared_area(a, b)
-        if 0 < area < 1e-9:
-            continue
-        assert overlap(a, b) == (area > 0), (a, b)
-        seen[area > 0] += 1
+        if not 0 < area < 1e-9:
+            assert overlap(a, b) == (area > 0), (a, b)
+            seen[area > 0] += 1
     assert min(seen.values()) > 1000
 
 
@@ -143,20 +128,17 @@ def weaving():
 def test_side_hit_is_that_of_last_tick_apart():
     rng, differ = random.Random(5), 0
     for _ in range(160):
-        trace = Highway(duration=30.0).rollout(
-            random_scenario(rng, lanes=4, speed_limit=26.8), weaving
-        )
+        scenario = random_scenario(rng, lanes=4, speed_limit=26.8)
+        trace = Highway(duration=30.0).rollout(scenario, weaving)
         if (hit := trace.collision) is None:
             continue
         both = [0, hit.npc + 1]
-        (ego, npc), overlapping = (
-            [
-                Box(*pose, *size)
-                for pose, size in zip(poses.tolist(), trace.sizes[both].tolist(), strict=True)
-            ]
-            for poses in trace.states[hit.tick - 1 : hit.tick + 1, both][..., [X, Y, HEADING]]
+        sizes = trace.sizes[both].tolist()
+        poses = trace.states[hit.tick - 1 : hit.tick + 1, both][..., [X, Y, HEADING]].tolist()
+        before, overlapping = (
+            [Box(*pose, *size) for pose, size in zip(each, sizes, strict=True)] for each in poses
         )
-        assert not overlap(ego, npc)
-        assert hit.side == side_hit(ego, npc)
+        assert not overlap(*before)
+        assert hit.side == side_hit(*before)
         differ += side_hit(*overlapping) != hit.side
     assert differ, "the tick of the contact would tell the same"

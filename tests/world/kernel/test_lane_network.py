@@ -33,22 +33,17 @@ def test_each_lane_is_where_highway_env_says(env_id):
     compiled = pickle.loads(pickle.dumps(compiled_network(network)))
     with c_library():
         for number, (index, lane) in enumerate(network.lanes_dict().items()):
-            for along, across in zip(
-                rng.uniform(-9, lane.length + 9, 12), rng.normal(0, 4, 12), strict=True
-            ):
+            places = zip(rng.uniform(-9, lane.length + 9, 12), rng.normal(0, 4, 12), strict=True)
+            for along, across in places:
                 compiled.position(number, along, across)
                 assert (compiled.x, compiled.y) == tuple(lane.position(along, across)), index
                 assert compiled.heading_at(number, along) == lane.heading_at(along)
-                x, y = lane.position(along, across) + rng.normal(0, 20, 2)
-                compiled.locate(number, x, y)
-                assert (compiled.along, compiled.across) == lane.local_coordinates(np.array([x, y]))
-                assert compiled.is_on(number, x, y, 1.0) == lane.on_lane(
-                    np.array([x, y]), margin=1.0
-                )
-                assert compiled.is_reachable(number, x, y) == lane.is_reachable_from(
-                    np.array([x, y])
-                )
-                assert compiled.is_after_end(number, x, y) == lane.after_end(np.array([x, y]))
+                place = lane.position(along, across) + rng.normal(0, 20, 2)
+                compiled.locate(number, *place)
+                assert (compiled.along, compiled.across) == lane.local_coordinates(place)
+                assert compiled.is_on(number, *place, 1.0) == lane.on_lane(place, margin=1.0)
+                assert compiled.is_reachable(number, *place) == lane.is_reachable_from(place)
+                assert compiled.is_after_end(number, *place) == lane.after_end(place)
 
 
 def swerves(actions):
@@ -76,24 +71,16 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
     lane-keeping-v0 must have a state that only its own class has.
     """
     world = world_of(env_id, duration=20.0)
-    space = world.action_space
-    actions = (
-        [*range(space.n), 1] if hasattr(space, "n") else [np.full(space.shape, 0.01, np.float32)]
-    )
-    egos = (
-        [swerves(actions)]
-        if env_id == "lane-keeping-v0"
-        else [*[IDMVehicle] * 3, Own, swerves(actions)]
-    )
-    for seed, ads in enumerate(egos):
+    space, egos = world.action_space, [IDMVehicle, IDMVehicle, IDMVehicle, Own]
+    actions = [np.full(space.shape, 0.01, np.float32)]
+    if hasattr(space, "n"):
+        actions = [*range(space.n), 1]
+    for seed, ads in enumerate([*egos * (env_id != "lane-keeping-v0"), swerves(actions)]):
         scenario = sample(space_of(world), np.random.default_rng(seed))
         with c_library():
             ours, stocks = world.rollout(scenario, ads), world.rollout_in_gym(scenario, ads)
-        assert (ours.outcome, ours.executed, ours.collision) == (
-            stocks.outcome,
-            stocks.executed,
-            stocks.collision,
-        ), ads
+        for name in ("outcome", "executed", "collision"):
+            assert getattr(ours, name) == getattr(stocks, name), ads
         assert ours.states.tobytes() == stocks.states.tobytes(), ads
 
 

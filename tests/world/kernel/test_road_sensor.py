@@ -7,9 +7,9 @@ from array import array
 from dataclasses import replace
 from types import SimpleNamespace
 
-import gymnasium
 import numpy as np
 import pytest
+from gymnasium.wrappers import FlattenObservation
 
 from pytest_pafot import (
     CrossingInstruction,
@@ -21,11 +21,13 @@ from pytest_pafot import (
 )
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
-from pytest_pafot.world import AdsFactoryError, WorldError, from_dict
+from pytest_pafot.world import AdsFactoryError, from_dict
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.observation import RoadSensor
 from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.roads.network import STEP
+from tests.helpers.refusals import refused
+from tests.helpers.tables import table
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
 JUNCTION = WORLD.road.junction
@@ -78,28 +80,15 @@ EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
 
 
 def test_crossing_vehicle_is_seen_on_its_own_way():
-    seen = sensor_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, "o3>o1"]).observation(
-        0
-    )
+    leader = (2.0, HALF - 75.0, -math.pi / 2, 9.0)
+    seen = sensor_on(leader, EAST, ways=[None, "o3>o1"]).observation(0)
     assert seen.ids == (0,)
     assert [other.x - seen.ego.x for other in seen.others] == pytest.approx([15.0])
     (crossing,) = seen.crossing
     assert crossing.zone == FROM_THE_RIGHT.way.zone
-    assert crossing._replace(zone=None) == pytest.approx(
-        (
-            1,
-            None,
-            ENTERS - 90.0,
-            EGO_ENTERS - 60.0,
-            HALF - 60.0 + 2.0,
-            HALF - 92.0,
-            -math.pi / 2,
-            8.0,
-            5.0,
-            2.0,
-        ),
-        abs=0.05,
-    )
+    distances = ENTERS - 90.0, EGO_ENTERS - 60.0, HALF - 60.0 + 2.0, HALF - 92.0
+    expected = (1, None, *distances, -math.pi / 2, 8.0, 5.0, 2.0)
+    assert crossing._replace(zone=None) == pytest.approx(expected, abs=0.05)
 
 
 def test_who_has_merged_is_one_of_the_others():
@@ -107,15 +96,13 @@ def test_who_has_merged_is_one_of_the_others():
     assert (len(before.others), [each.is_inside for each in before.crossing]) == (0, [True])
     assert before.crossing[0].to_leave == pytest.approx(TURNS_IN.way.zone.npc[1] - 105.3, abs=0.2)
     after = sensor_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=["o3>o2"]).observation(0)
-    assert ([other.x - after.ego.x for other in after.others], after.crossing) == (
-        pytest.approx([81.0], abs=0.2),
-        (),
-    )
+    assert [other.x - after.ego.x for other in after.others] == pytest.approx([81.0], abs=0.2)
+    assert after.crossing == ()
 
 
-@pytest.mark.parametrize(
-    ("sight", "is_seen"),
-    [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)],
+@table(
+    ("is_seen", "sight"),
+    [(False, {"range": 50.0}), (True, {"range": 60.0}), (False, {"dropout": 1.0})],
 )
 def test_an_imperfect_sight_hides_who_crosses(sight, is_seen):
     seen = sensor_on(EAST, ways=["o3>o1"], sight=Sight(**sight)).observation(0)
@@ -135,28 +122,20 @@ def test_who_crosses_is_seen_late_and_with_errors():
 
 
 def test_it_sees_what_the_run_records():
-    seen = []
-    npcs = [
-        [CrossingInstruction("o3>o2", -0.5, 8.0)],
-        [CrossingInstruction("o1>o3", 1.0, 6.0)],
-        [PositionInstruction(6, 5.0)],
-    ]
-    trace = WORLD.rollout(
-        replace(scenario_of(WORLD), npcs=npcs), lambda: lambda now: seen.append(now) or (-0.5, 0.0)
-    )
+    crossing = CrossingInstruction("o3>o2", -0.5, 8.0), CrossingInstruction("o1>o3", 1.0, 6.0)
+    npcs = [[crossing[0]], [crossing[1]], [PositionInstruction(6, 5.0)]]
+    scenario, seen = replace(scenario_of(WORLD), npcs=npcs), []
+    trace = WORLD.rollout(scenario, lambda: lambda now: seen.append(now) or (-0.5, 0.0))
     assert len(seen) == len(trace.actions) > 30
     for tick, now in zip(range(0, trace.ticks, 3), seen, strict=True):
-        on_way = np.flatnonzero(~np.isnan(trace.track[tick, 1:, ALONG]))
+        along = trace.track[tick, :, ALONG]
+        on_way = np.flatnonzero(~np.isnan(along[1:]))
         assert now.ids == tuple(on_way)
         for each in now.crossing:
-            zone = trace.zones[each.id]
+            zone, place = trace.zones[each.id], trace.on_way[tick, each.id]
             assert each.id not in on_way
-            assert each.distance == pytest.approx(
-                zone.npc[0] - trace.on_way[tick, each.id], abs=1e-6
-            )
-            assert each.ego_distance == pytest.approx(
-                zone.ego[0] - trace.track[tick, 0, ALONG], abs=1e-6
-            )
+            assert each.distance == pytest.approx(zone.npc[0] - place, abs=1e-6)
+            assert each.ego_distance == pytest.approx(zone.ego[0] - along[0], abs=1e-6)
             apart = np.hypot(*(trace.states[tick, each.id + 1, :2] - trace.states[tick, 0, :2]))
             assert math.hypot(each.ahead, each.right) == pytest.approx(apart)
     assert {each.id for now in seen for each in now.crossing} == {0, 1}
@@ -170,9 +149,11 @@ def scenario_of(world):
 
 
 def follows():
-    return lambda seen: LaneCommand(
-        lane=seen.ego.lane, speed=max(min([8.0, *(each.speed - 1.0 for each in seen.others)]), 0.0)
-    )
+    def decide(seen):
+        speed = min([8.0, *(each.speed - 1.0 for each in seen.others)])
+        return LaneCommand(lane=seen.ego.lane, speed=max(speed, 0.0))
+
+    return decide
 
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0", "highway-v0"])
@@ -192,12 +173,20 @@ def test_a_file_has_how_often_a_planner_decides():
     assert (WORLD.observation_space, WORLD.ads_hz) == (None, 5)
 
 
+REFUSED = {
+    "no decisions": (lambda: World("intersection-v0", planner_hz=0), "planner_hz"),
+    "decisions between ticks": (World("intersection-v0", planner_hz=4).check, "planner_hz"),
+    "wrappers": (lambda: World("intersection-v0", planner_hz=5, wrappers=[FlattenObservation]), "wrappers"),
+}  # fmt: skip
+
+
+def plan_inside():
+    WORLD.rollout(scenario_of(WORLD), lambda env: SimpleNamespace())
+
+
 def test_world_for_planners_refuses_policy_options():
-    with pytest.raises(WorldError, match="planner_hz: expected"):
-        World("intersection-v0", planner_hz=0)
-    with pytest.raises(WorldError, match="planner_hz"):
-        World("intersection-v0", planner_hz=4).check()
-    with pytest.raises(WorldError, match="wrappers: expected no wrappers with planner_hz="):
-        World("intersection-v0", planner_hz=5, wrappers=[gymnasium.wrappers.FlattenObservation])
-    with pytest.raises(AdsFactoryError, match="without the parameter `env`"):
-        WORLD.rollout(scenario_of(WORLD), lambda env: SimpleNamespace())
+    for make, field in REFUSED.values():
+        with refused(field):
+            make()
+    with pytest.raises(AdsFactoryError):
+        plan_inside()
