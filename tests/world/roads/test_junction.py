@@ -60,11 +60,10 @@ def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
     )
 
 
-@pytest.mark.parametrize(
-    "env_id",
-    [each for each in ROADS if not each.startswith(("intersection", "roundabout"))]
-    + ["highway-v0"],
-)
+WITHOUT = [each for each in ROADS if not each.startswith(("intersection", "roundabout"))]
+
+
+@pytest.mark.parametrize("env_id", [*WITHOUT, "highway-v0"])
 def test_other_roads_of_highway_env_have_no_crossings(env_id):
     """Their ramps jump by a lane, two-way roads are side by side, and circuits have no entry."""
     assert world_of(env_id).crossings is None
@@ -90,13 +89,11 @@ def test_way_speeds_respect_its_limit_and_bends(destination):
     for way in world.crossings.ways.values():
         line = world.road.junction.ways[way.zone.way].line
         turned = np.abs(np.diff(np.unwrap(line.heading))) / STEP
-        assert (
-            np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned
-        ).max() < world.limits.lateral_acceleration
+        pull = np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned
+        assert pull.max() < world.limits.lateral_acceleration
         assert way.speeds.max() <= world.limits.overspeed * 10.0
-        assert way.length == pytest.approx(
-            math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP
-        )
+        length = math.fsum(np.hypot(np.diff(line.x), np.diff(line.y)))
+        assert way.length == pytest.approx(length, abs=STEP)
 
 
 # An oracle: boxes as polygons, at places of the two ways between the points of their lines.
@@ -123,17 +120,14 @@ def inner(places, poses):
 
 def posed(line, lean, places):
     points = np.arange(len(line.x)) * STEP
-    heading = np.interp(places, points, line.heading + lean)
-    return np.stack(
-        [np.interp(places, points, line.x), np.interp(places, points, line.y), heading], axis=-1
-    )
+    columns = line.x, line.y, line.heading + lean
+    return np.stack([np.interp(places, points, column) for column in columns], axis=-1)
 
 
 def touching(first, second, wider):
     """Return which poses of two rows touch as boxes, by their corners and edges."""
-    near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(
-        LENGTH, WIDTH + wider
-    )
+    apart = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1))
+    near = apart < math.hypot(LENGTH, WIDTH + wider)
     boxes, others = (
         [corners(pose, LENGTH, WIDTH + wider) for pose in poses.tolist()]
         for poses in (first, second)
@@ -192,30 +186,18 @@ def test_middle_of_a_way_is_in_its_zone_and_in_the_egos_lane(destination):
 @pytest.mark.parametrize(("angle", "merges"), [(0.09, True), (0.11, False)])
 def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merges):
     """One crosses the other at a small angle, halfway along both."""
-    places = np.arange(-50.0, 50.0, STEP)
-    directions = [(turned, math.cos(turned), math.sin(turned)) for turned in (0.0, angle)]
-    one, other = (
-        Course(
-            places * cos,
-            places * sin,
-            *(np.full(places.shape, value) for value in (turned, cos, sin)),
-        )
-        for turned, cos, sin in directions
-    )
-    (meeting,) = meetings_of(one, other, near_pairs(one, other))
+    places, courses = np.arange(-50.0, 50.0, STEP), []
+    for turned in (0.0, angle):
+        direction = turned, math.cos(turned), math.sin(turned)
+        constant = [np.full(places.shape, value) for value in direction]
+        courses.append(Course(places * direction[1], places * direction[2], *constant))
+    (meeting,) = meetings_of(*courses, near_pairs(*courses))
     assert meeting.merges == merges
 
 
 def test_merging_zone_ends_one_vehicle_length_after_joining():
-    for world in (
-        intersection("o1"),
-        intersection("o2"),
-        intersection("o3"),
-        world_of("roundabout-v1"),
-    ):
-        for zone in world.crossings.zones:
-            if zone.kind != "merging":
-                continue
+    for world in (*map(intersection, ("o1", "o2", "o3")), world_of("roundabout-v1")):
+        for zone in (each for each in world.crossings.zones if each.kind == "merging"):
             (along, npc), (_, ego) = poses_of_way(world, zone.way), poses_of_ego(world)
             apart = np.hypot(*(npc[:, None, :2] - ego[None, :, :2]).transpose(2, 0, 1))
             turned = np.abs(wrapped(npc[:, 2] - ego[apart.argmin(axis=1), 2]))
@@ -265,16 +247,13 @@ class OwnJunction(OwnEnvironment):
     options: ClassVar = {"from": "w", "duration": 12, "policy_frequency": 5}
 
     def _reset(self):
+        bend = [20, 20], 20, math.pi, 1.5 * math.pi
         lanes = [
             ("w", "m", StraightLane([-150, 0], [20, 0], speed_limit=15)),
             ("m", "e", StraightLane([20, 0], [200, 0], speed_limit=15)),
             ("n", "s", StraightLane([-20, -120], [-20, 120], speed_limit=15)),
             ("b", "c", StraightLane([0, 150], [0, 20], speed_limit=15)),
-            (
-                "c",
-                "m",
-                CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15),
-            ),
+            ("c", "m", CircularLane(*bend, clockwise=True, speed_limit=15)),
         ]
         lane = next(lane for origin, _, lane in lanes if origin == self.config["from"])
         at = lane.length - 90

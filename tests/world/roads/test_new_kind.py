@@ -79,43 +79,31 @@ class TurnedHighway(Highway):
     def road(self):
         cos, sin = math.cos(ANGLE), math.sin(ANGLE)
         lanes = super().road.lanes
-        return TurnedRoad(
-            tuple(replace(each, heading=ANGLE, x=-sin * each.y, y=cos * each.y) for each in lanes)
-        )
+        turned = [replace(each, heading=ANGLE, x=-sin * each.y, y=cos * each.y) for each in lanes]
+        return TurnedRoad(tuple(turned))
 
 
 def follower(seen):
-    gaps = [
-        each.x - seen.ego.x
-        for each in seen.others
-        if abs(each.y - seen.ego.y) < 2 and each.x > seen.ego.x
-    ]
-    return (
-        -6.0
-        if min(gaps, default=100.0) < 5 + 0.4 * seen.ego.speed
-        else 0.5
-        if seen.ego.speed < 24
-        else 0.0
-    ), 0.0
+    ego = seen.ego
+    ahead = [each.x for each in seen.others if abs(each.y - ego.y) < 2 and each.x > ego.x]
+    if min(ahead, default=ego.x + 100.0) - ego.x < 5 + 0.4 * ego.speed:
+        return -6.0, 0.0
+    return 0.5 * (ego.speed < 24), 0.0
 
 
 @table("speed", [18.0, 19.0, 20.0])
 def test_runs_on_a_turned_road_are_those_on_a_straight_one(speed):
-    chains = [
-        [PositionInstruction(2, 20.0), PositionInstruction(1, 10.0)] * 3,
-        [LaneInstruction("right", 18.0)] * 6,
-    ]
+    on_grid = [PositionInstruction(2, 20.0), PositionInstruction(1, 10.0)] * 3
+    chains = [on_grid, [LaneInstruction("right", 18.0)] * 6]
     scenario = Scenario(npcs=chains, ego_lane=1, ego_speed=speed)
     straight, turned = (
         world.rollout(scenario, lambda: follower) for world in (Highway(), TurnedHighway())
     )
-    assert turned.outcome == straight.outcome
-    assert turned.executed == straight.executed
-    assert turned.arrivals == straight.arrivals
-    np.testing.assert_allclose(turned.states[..., SPEED], straight.states[..., SPEED], atol=1e-9)
-    np.testing.assert_allclose(
-        turned.states[..., HEADING] - ANGLE, straight.states[..., HEADING], atol=1e-9
-    )
+    for name in ("outcome", "executed", "arrivals"):
+        assert getattr(turned, name) == getattr(straight, name)
+    states = turned.states - np.eye(7)[HEADING] * ANGLE
+    columns = [HEADING, SPEED]
+    np.testing.assert_allclose(states[..., columns], straight.states[..., columns], atol=1e-9)
     for vehicle in range(3):
         np.testing.assert_allclose(turned.track_of(vehicle), straight.track_of(vehicle), atol=1e-8)
     np.testing.assert_allclose(turned.road.offsets, straight.road.offsets, atol=1e-8)
