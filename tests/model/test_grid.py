@@ -49,12 +49,8 @@ def gene_requests(draw, most=8):
 def test_cells_run_clockwise_from_the_front_left():
     around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
     assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
-    assert [Cell(number).label for number in (1, 2, 5, 8)] == [
-        "front-left",
-        "front",
-        "rear-right",
-        "left",
-    ]
+    labels = {1: "front-left", 2: "front", 5: "rear-right", 8: "left"}
+    assert {number: Cell(number).label for number in labels} == labels
 
 
 def test_the_ring_closes_between_8_and_1():
@@ -104,9 +100,8 @@ def test_both_neighbours_are_drawn_equally_for_every_npc():
 
 
 def test_draws_of_one_scenario_are_independent():
-    draws = [
-        [toss(seed, npc, gene) for npc, gene in product(range(3), range(3))] for seed in range(2000)
-    ]
+    genes = [*product(range(3), range(3))]
+    draws = [[toss(seed, npc, gene) for npc, gene in genes] for seed in range(2000)]
     for a, b in product(range(9), repeat=2):
         alike = sum(draw[a] == draw[b] for draw in draws)
         assert a == b or 880 <= alike <= 1120, (a, b, alike)
@@ -162,10 +157,7 @@ def test_executed_cells_are_executed_again_for_any_coins(case, others):
 def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed):
     coins = [toss(seed, npc, 0) for npc in range(len(requested))]
     if len(requested) > len(existing):
-        with pytest.raises(
-            ValueError,
-            match=f"received {len(requested)} NPCs for {len(existing)} existing cells. Use",
-        ):
+        with pytest.raises(ValueError, match=f"{len(requested)} .* {len(existing)}"):
             repair_gene(None, requested, existing, coins)
         return
     executed = repair_gene(None, requested, existing, coins)
@@ -196,29 +188,16 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
 def test_skipping_repair_goes_on_to_the_next_cell_that_exists(
     requested, existing, clockwise, executed
 ):
-    assert repair_gene(
-        [Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True
-    ) == (executed,)
+    given = [Cell.FRONT], [requested], frozenset(existing), [clockwise]
+    assert repair_gene(*given, skipping=True) == (executed,)
 
 
-@given(
-    st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
-    st.data(),
-    st.frozensets(st.sampled_from(Cell)),
-    st.booleans(),
-)
-def test_result_of_the_skipping_repair_is_distinct_and_a_fixed_point(
-    previous, data, existing, clockwise
-):
-    requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
-    executed = repair_gene(
-        previous, requested, existing, [clockwise] * len(previous), skipping=True
-    )
+@given(gene_requests(most=4), st.frozensets(cells), st.booleans())
+def test_result_of_the_skipping_repair_is_distinct_and_a_fixed_point(case, existing, clockwise):
+    previous, requested, *_ = case
+    common = existing, [clockwise] * len(previous)
+    executed = repair_gene(previous, requested, *common, skipping=True)
     assert len(set(executed)) == len(executed)
-    assert (
-        repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True)
-        == executed
-    )
-    assert all(
-        cell in existing or cell == before for cell, before in zip(executed, previous, strict=True)
-    )
+    assert repair_gene(previous, executed, *common, skipping=True) == executed
+    pairs = zip(executed, previous, strict=True)
+    assert all(cell in existing or cell == before for cell, before in pairs)

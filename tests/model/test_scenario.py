@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 import pickle
-import re
 from dataclasses import FrozenInstanceError, replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import MAX_SEED, Scenario, retimed
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.support.text import capitalised
+from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 
 instructions = st.builds(
@@ -61,17 +62,24 @@ def test_speeds_are_exact_tenths_however_they_were_computed(tenths):
     assert one(speed=sum([0.1] * min(tenths, 300))).speed == float(Fraction(min(tenths, 300), 10))
 
 
-@table("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
-def test_invalid_cell_is_refused_with_the_range(cell):
-    with pytest.raises(
-        ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"
-    ):
+NO_CELLS = [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30]
+NO_SPEEDS = {
+    "no number": [math.nan, math.inf, -math.inf, "10", None, True, 10**400, np.array([1.0]), 1j],
+    "beyond the bound": [1e4, 1e300, 1.7e308, 10**300],
+    "a negative speed": [-0.1, -5.0, -1.7e308],
+    "between tenths": [12.34, 0.05001],
+}
+
+
+@table("cell", NO_CELLS)
+def test_invalid_cell_is_refused(cell):
+    with refused("cell", ScenarioError):
         PositionInstruction(cell, 10.0)
 
 
-@table("speed", [math.nan, math.inf, -math.inf, "10", None, True, 10**400, np.array([1.0]), 1j])
-def test_a_speed_that_is_no_number_is_refused(speed):
-    with pytest.raises(ScenarioError, match="speed: expected a finite number, received"):
+@table("speed", [speed for speeds in NO_SPEEDS.values() for speed in speeds])
+def test_invalid_speed_is_refused(speed):
+    with refused("speed", ScenarioError):
         PositionInstruction(2, speed)
 
 
@@ -80,18 +88,10 @@ def test_a_speed_that_is_no_number_is_refused(speed):
     [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")],
 )
 def test_invalid_speed_is_refused_with_nearest_valid_one(speed, nearest):
-    with pytest.raises(
-        ScenarioError, match=re.escape(f"received {speed!r}. The nearest valid speed is {nearest}")
-    ):
-        PositionInstruction(2, speed)
-
-
-@table("speed", [1e4, 1e300, 1.7e308, 10**300])
-def test_an_absurd_speed_is_refused_with_the_bound(speed):
-    with pytest.raises(
-        ScenarioError, match="speed: expected a speed of at most 1000 m/s, received"
-    ):
-        PositionInstruction(2, speed)
+    for make in (partial(PositionInstruction, 2), partial(LaneInstruction, "keep")):
+        with refused("speed", ScenarioError) as caught:
+            make(speed)
+        assert caught.value.fix.split()[-2] == nearest
 
 
 def test_values_are_frozen_and_hashable():
@@ -106,17 +106,15 @@ def test_values_are_frozen_and_hashable():
 @given(scenarios)
 def test_a_scenario_survives_pickling_and_repairing(scenario):
     assert pickle.loads(pickle.dumps(scenario)) == scenario
-    assert (
-        Scenario.repaired(scenario.npcs, seed=(scenario.seed + 1) % MAX_SEED).npcs == scenario.npcs
-    )
+    again = Scenario.repaired(scenario.npcs, seed=(scenario.seed + 1) % MAX_SEED)
+    assert again.npcs == scenario.npcs
 
 
 @given(raw_chains, st.integers(0, MAX_SEED))
 def test_repair_preserves_speeds_and_first_cells_where_possible(chains, seed):
     scenario = Scenario.repaired(chains, seed=seed)
-    assert [[g.speed for g in chain] for chain in scenario.npcs] == [
-        [g.speed for g in chain] for chain in chains
-    ]
+    for repaired, chain in zip(scenario.npcs, chains, strict=True):
+        assert [gene.speed for gene in repaired] == [gene.speed for gene in chain]
     assert scenario.npcs[0][0].cell == chains[0][0].cell
     assert scenario.seed == seed
 
@@ -124,14 +122,10 @@ def test_repair_preserves_speeds_and_first_cells_where_possible(chains, seed):
 @given(scenarios, scenarios)
 def test_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
     assert (a.canonical() == b.canonical()) == (a == b)
-    same = Scenario(
-        npcs=[list(chain) for chain in a.npcs],
-        seed=np.int64(a.seed),
-        ego_lane=np.int32(a.ego_lane),
+    same = replace(
+        a, npcs=[list(chain) for chain in a.npcs], seed=np.int64(a.seed), ego_lane=np.int32(a.ego_lane),
         ego_speed=np.float64(a.ego_speed),
-        gene_seconds=a.gene_seconds,
-        traffic=a.traffic,
-    )
+    )  # fmt: skip
     assert same.canonical() == a.canonical()
     assert same.id == a.id
     assert Scenario.from_canonical(json.loads(a.canonical())) == a
@@ -139,13 +133,10 @@ def test_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
 
 def test_every_field_is_part_of_the_id():
     scenario = Scenario(npcs=[[one(1), one(2)]], ego_speed=20.0)
+    fields = {"seed": 1, "ego_lane": 2, "ego_speed": 20.1, "gene_seconds": 9.0}
     others = [
-        replace(scenario, seed=1),
-        replace(scenario, ego_lane=2),
-        replace(scenario, ego_speed=20.1),
-        replace(scenario, gene_seconds=9.0),
-        replace(scenario, traffic="hostile"),
-        replace(scenario, traffic="everyday"),
+        *(replace(scenario, **{name: value}) for name, value in fields.items()),
+        *(replace(scenario, traffic=style) for style in ("hostile", "everyday")),
         scenario.truncated(1),
         Scenario(npcs=[[one(1), one(2, 19.9)]], ego_speed=20.0),
         Scenario(npcs=[[one(1), one(1)]], ego_speed=20.0),
@@ -179,58 +170,43 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
     assert str(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
 
 
-@table(("fields", "message"), [
-    ({"npcs": []}, "npcs: expected 1 to 8 NPCs, at most one per cell, received 0"),
-    ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
-    ({"npcs": [[(2, 20.0)]]}, "LaneInstruction or a CrossingInstruction, received (2, 20.0). Write, for example, Posi"),
-    ({"npcs": None}, "npcs: expected a list with one chain of instructions per NPC, received None. Write npcs=[["),
-    ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
-    ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
-    ({"seed": 1.5}, "seed: expected a whole number"),
-    ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
-    ({"ego_speed": -1}, "ego_speed: expected a speed of at least 0 m/s, received -1"),
-    ({"ego_speed": math.nan}, "ego_speed: expected a speed of at least 0 m/s, received nan"),
-    ({"gene_seconds": 0}, "gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 0"),
-    ({"gene_seconds": 1e9},
-     "gene_seconds: expected a duration of more than 0 s and at most 86400 s, received 1000000000.0"),
-])  # fmt: skip
+BROKEN = {
+    "no NPCs": ({"npcs": []}, "npcs"),
+    "an empty chain": ({"npcs": [[one()], []]}, "npcs[1]"),
+    "a pair": ({"npcs": [[(2, 20.0)]]}, "npcs[0][0]"),
+    "no list": ({"npcs": None}, "npcs"),
+    "a negative seed": ({"seed": -1}, "seed"),
+    "a large seed": ({"seed": 2**63}, "seed"),
+    "half a seed": ({"seed": 1.5}, "seed"),
+    "a negative lane": ({"ego_lane": -1}, "ego_lane"),
+    "a negative speed": ({"ego_speed": -1}, "ego_speed"),
+    "no speed": ({"ego_speed": math.nan}, "ego_speed"),
+    "no duration": ({"gene_seconds": 0}, "gene_seconds"),
+    "a long duration": ({"gene_seconds": 1e9}, "gene_seconds"),
+}
+
+
+@table(("fields", "field"), BROKEN.values())
 @table("make", [Scenario, Scenario.repaired])
-def test_broken_field_is_refused_by_name(make, fields, message):
-    with pytest.raises(ScenarioError, match=re.escape(message)):
+def test_broken_field_is_refused_by_name(make, fields, field):
+    with refused(field, ScenarioError):
         make(**{"npcs": [[one()]], **fields})
 
 
-def test_leap_across_the_ring_is_refused_with_alternatives():
-    expected = (
-        "npcs[0][1]: expected cell 1 again, or one of the adjacent cells 2 and 8, received cell 5. Use "
-        "Scenario.repaired(...)"
-    )
-    with pytest.raises(ScenarioError, match=re.escape(expected)):
+def test_leap_across_the_ring_is_refused_with_fields_that_are_readable_also_after_pickling():
+    with refused("npcs[0][1]", ScenarioError) as caught:
         Scenario(npcs=[[one(1), one(5)]])
+    error, again = caught.value, pickle.loads(pickle.dumps(caught.value))
+    assert error.received == again.received == "cell 5"
+    assert (vars(again), str(again)) == (vars(error), str(error))
+    for part in (error.field, error.expected, error.received, capitalised(error.fix)):
+        assert part
+        assert part in str(error)
 
 
-def test_error_fields_are_readable_also_after_pickling():
-    with pytest.raises(ScenarioError) as caught:
-        Scenario(npcs=[[one(1), one(5)]])
-    for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
-        assert (error.field, error.received) == ("npcs[0][1]", "cell 5")
-        assert error.expected == "cell 1 again, or one of the adjacent cells 2 and 8"
-        assert (
-            str(error)
-            == f"{error.field}: expected {error.expected}, received {error.received}. {capitalised(error.fix)}"
-        )
-
-
-def test_two_npcs_in_one_cell_are_refused():
-    expected = (
-        "npcs[1][1]: expected a cell that no other NPC occupies in gene 1, received cell "
-        "2, which npcs[0] occupies"
-    )
-    with pytest.raises(ScenarioError, match=re.escape(expected)):
+def test_two_npcs_in_one_cell_are_refused_unless_a_chain_has_ended():
+    with refused("npcs[1][1]", ScenarioError):
         Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
-
-
-def test_npc_with_ended_chain_holds_no_cell():
     assert Scenario(npcs=[[one(2)], [one(3), one(2)]]).genes == 2
 
 
@@ -241,7 +217,7 @@ def test_scenario_is_accepted_exactly_if_repair_changes_nothing(chains):
     if repaired == tuple(map(tuple, chains)):
         assert Scenario(npcs=chains).npcs == repaired
     else:
-        with pytest.raises(ScenarioError, match=r"npcs\[\d\]\[\d\]: expected .*Scenario\.repaired"):
+        with pytest.raises(ScenarioError, match=r"^npcs\[\d\]\[\d\]:"):
             Scenario(npcs=chains)
 
 
@@ -250,29 +226,18 @@ class TestLaneInstructions:
 
     def test_lane_instructions_take_three_lanes_and_tenths(self):
         assert LaneInstruction("left", 12).speed == 12.0
-        assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [
-            0,
-            -1,
-            1,
-        ]
+        columns = {lane: LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")}
+        assert columns == {"keep": 0, "left": -1, "right": 1}
 
     @table("lane", ["up", "", None, 1, "Left"])
-    def test_another_lane_is_refused_with_those_that_exist(self, lane):
-        with pytest.raises(
-            ScenarioError, match="lane: expected one of keep, left, right, received"
-        ):
+    def test_another_lane_is_refused(self, lane):
+        with refused("lane", ScenarioError):
             LaneInstruction(lane, 10.0)
 
-    def test_lane_speed_between_tenths_is_refused(self):
-        with pytest.raises(
-            ScenarioError,
-            match=r"speed: expected a non-negative multiple of 0.1 m/s, .* The nearest valid speed is 12\.3",
-        ):
-            LaneInstruction("keep", 12.34)
-
     def test_valid_speed_of_an_npc_that_crosses_is_above_0(self):
-        with pytest.raises(ScenarioError, match=r"The nearest valid speed is 0\.1"):
+        with refused("speed", ScenarioError) as caught:
             CrossingInstruction("a>b", 0, 0.04)
+        assert caught.value.fix.split()[-2] == "0.1"
 
     def test_lane_scenario_needs_no_repair_and_may_repeat(self):
         chain = (LaneInstruction("left", 10.0),) * 3
@@ -292,14 +257,10 @@ class TestLaneInstructions:
 
     def test_mixed_kinds_in_a_chain_are_refused_with_place(self):
         lane = LaneInstruction("keep", 1.0)
-        for chain, kind in (
-            ([one(), lane], "PositionInstruction"),
-            ([lane, one()], "LaneInstruction"),
-        ):
-            with pytest.raises(
-                ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind}, as in npcs\[1\]\[0\]"
-            ):
+        for chain in ([one(), lane], [lane, one()]):
+            with refused("npcs[1][1]", ScenarioError) as caught:
                 Scenario(npcs=([one()], chain))
+            assert type(chain[0]).__name__ in caught.value.expected
 
     def test_npcs_may_differ_in_kind_and_only_cells_are_repaired(self):
         lanes = LaneInstruction("left", 1.0), LaneInstruction("left", 2.0)

