@@ -1,8 +1,4 @@
-"""The attribution rules against situations whose verdict an expert has written down in advance.
-
-``situations.txt`` has the verdicts and reasons, so that a change of the rules shows what it changes. To write it again:
-``python -m tests.attribution.test_situations``.
-"""
+"""The attribution rules against situations whose verdict an expert has written down in advance."""
 
 import importlib.util
 from pathlib import Path
@@ -12,7 +8,6 @@ from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[2]
-REASONS = Path(__file__).with_name("situations.txt")
 ALL = [situation for group in SITUATIONS.values() for situation in group]
 
 
@@ -24,21 +19,6 @@ def test_verdict_matches_the_one_an_expert_expects(situation):
     )
 
 
-def reasons():
-    """Return the verdict and the reason of every situation, one per line."""
-    every = ((each, rss_rule(each.trace())) for each in ALL)
-    return "".join(
-        f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {' '.join(it.sentences)}\n"
-        for each, it in every
-    )
-
-
-def test_reasons_of_all_situations_are_the_kept_ones():
-    assert reasons() == REASONS.read_text(encoding="utf-8"), (
-        "run: python -m tests.attribution.test_situations"
-    )
-
-
 def test_picture_of_the_page_on_verdicts_is_up_to_date():
     path = ROOT / "docs" / "tools" / "verdict_picture.py"
     spec = importlib.util.spec_from_file_location("verdict_picture", path)
@@ -47,7 +27,3 @@ def test_picture_of_the_page_on_verdicts_is_up_to_date():
     assert module.picture() == module.PICTURE.read_text(encoding="utf-8"), (
         "run: python docs/tools/verdict_picture.py"
     )
-
-
-if __name__ == "__main__":
-    REASONS.write_text(reasons(), encoding="utf-8")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
-from pytest_pafot.attribution.takeovers import drive, latest, sentence
+from pytest_pafot.attribution.takeovers import drive, latest
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Outcome
@@ -32,17 +32,11 @@ def crash(ticks=IMPACT):
 
 def taken(trace, ticks=IMPACT + AFTER + 2, hit=None, outcome=Outcome.COMPLETED, **at):
     """Return a run that begins like another one and lasts for some ticks, to a contact if there is one."""
-    states = np.concatenate(
-        [trace.states, np.repeat(trace.states[-1:], max(ticks - trace.ticks, 0), axis=0)]
-    )
-    collision = None if hit is None else collision_at(hit, **at)
-    outcome = outcome if hit is None else Outcome.COLLISION
-    return replace(
-        trace,
-        states=states[: (ticks if hit is None else hit) + 1],
-        outcome=outcome,
-        collision=collision,
-    )
+    more = np.repeat(trace.states[-1:], max(ticks - trace.ticks, 0), axis=0)
+    states, collision = np.concatenate([trace.states, more]), None
+    if hit is not None:
+        ticks, outcome, collision = hit, Outcome.COLLISION, collision_at(hit, **at)
+    return replace(trace, states=states[: ticks + 1], outcome=outcome, collision=collision)
 
 
 class Drives:
@@ -108,23 +102,17 @@ def test_takeover_avoids_if_nothing_counts_that_the_driver_touches(of, number):
     assert latest(crash(), Drives(of)) == number
 
 
-def test_an_unknown_end_leaves_a_later_number_and_forbids_to_say_that_none_avoids():
+@table(("number", "clear"), [(0.5, range(2, 5)), (None, ())])
+def test_an_unknown_end_leaves_a_later_number_and_forbids_to_say_that_none_avoids(number, clear):
     cut = taken(crash(), ticks=IMPACT - 1)
-    for number, clear in ((0.5, range(2, 5)), (None, ())):
-        ticks = [IMPACT - round(each * 3.75) for each in clear]
-        assert (
-            latest(
-                crash(),
-                Drives(lambda trace, tick, ticks=ticks: taken(trace) if tick in ticks else cut),
-            )
-            == number
-        )
+    ticks = [IMPACT - round(each * 3.75) for each in clear]
+    drives = Drives(lambda trace, tick: taken(trace) if tick in ticks else cut)
+    assert latest(crash(), drives) == number
 
 
-@table(
-    "more",
-    [{"outcome": Outcome.COMPLETED, "collision": None}, {"collision": collision_at(60, npc=None)}],
-)
+@table("more", [
+    {"outcome": Outcome.COMPLETED, "collision": None}, {"collision": collision_at(60, npc=None)},
+])  # fmt: skip
 def test_without_a_collision_with_a_vehicle_nothing_is_driven(more):
     assert latest(replace(crash(), **more), Drives(lambda *_: pytest.fail("driven"))) is None
 
@@ -136,24 +124,10 @@ def test_drive_goes_on_for_four_seconds():
     assert drives.ticks == [45]
 
 
-def test_sentences_on_takeovers():
-    assert (
-        sentence(1.25)
-        == "A careful driver who took control 1.25 s before the impact would have avoided it."
-    )
-    assert (
-        sentence(0.0)
-        == "A careful driver who took control in the last 3 s could not reliably have avoided the "
-        "collision."
-    )
-
-
 def constantly_driven(cell, speed, ego_speed):
     """Return the run of an ego that keeps its speed, with a vehicle that does so too after a while."""
-    world = Highway(clearance=40.0)
-    scenario = Scenario(
-        npcs=[[PositionInstruction(cell, speed)]], ego_speed=ego_speed, gene_seconds=30.0
-    )
+    world, npcs = Highway(clearance=40.0), [[PositionInstruction(cell, speed)]]
+    scenario = Scenario(npcs=npcs, ego_speed=ego_speed, gene_seconds=30.0)
     return world.run_of(world.rollout(scenario, lambda: lambda observation: (0.0, 0.0)))
 
 
@@ -167,9 +141,9 @@ def test_latest_takeover_on_a_highway_is_that_of_the_braking_distance(closing):
     assert run.trace.npcs[-30:, 0, SPEED] == pytest.approx(24.0 - closing, abs=0.02)
     found = latest(run.trace, run.take_over)
     assert found == math.ceil(closing / (2 * HARD_BRAKING) / 0.25) * 0.25
-    assert [
-        drive(run.trace, found - later, run.take_over).collision is None for later in (0.0, 0.25)
-    ] == [True, False]
+    hits = [drive(run.trace, found - later, run.take_over).collision for later in (0.0, 0.25)]
+    assert hits[0] is None
+    assert hits[1] is not None
 
 
 def test_who_keeps_the_lane_avoids_nobody_who_comes_from_behind():
@@ -180,10 +154,7 @@ def test_who_keeps_the_lane_avoids_nobody_who_comes_from_behind():
 
 def test_careful_human_keeps_braking_for_a_motorcycle_that_is_over_the_line_and_not_yet_in_its_way():
     """Its centre is nearer than half a lane, and its box is narrow."""
-    chain = [
-        PositionInstruction(cell, speed)
-        for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))
-    ]
+    chain = [*map(PositionInstruction, (2, 1, 1, 1, 2), (0.0, 18.0, 18.0, 18.0, 0.0))]
     scenario = Scenario(npcs=[chain], gene_seconds=4.0, vehicles=("motorcycle",))
     assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.COMPLETED
 
@@ -193,13 +164,10 @@ TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in gro
 
 @pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc"), (None, "npc")])
 def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(seconds, responsible):
-    trace = TRACES["leader-stops-dead"]()
-    found = decide_contested(attribute_collision(trace), seconds)
-    assert found.responsibility == responsible
-    assert (found.fault, found.mistake) == (
-        ("leader-unanswered", "kept-no-distance") if seconds else (None, None)
-    )
-    assert found.takeover == seconds
+    found = decide_contested(attribute_collision(TRACES["leader-stops-dead"]()), seconds)
+    assert (found.responsibility, found.takeover) == (responsible, seconds)
+    faults = ("leader-unanswered", "kept-no-distance") if seconds else (None, None)
+    assert (found.fault, found.mistake) == faults
 
 
 @pytest.mark.parametrize(("seconds", "responsible"), [(0.25, "both"), (0.0, "npc"), (None, "both")])
@@ -224,6 +192,6 @@ def test_an_excuse_holds_where_the_driver_cannot_be_simulated():
     fails.lasting = lambda seconds: fails
     run = Run(TRACES["leader-stops-dead"](), take_over=fails)
     assert run.responsibility == "npc"
-    assert not any("careful driver" in each for each in run.sentences)
-    with pytest.raises(DriverError, match="no such driver"):
+    assert not any("careful" in each for each in run.sentences)
+    with pytest.raises(DriverError):
         run.takeover  # noqa: B018

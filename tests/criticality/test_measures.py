@@ -84,16 +84,14 @@ class TestGap:
 
     def test_uses_each_vehicle_s_own_size(self):
         sizes = [(5, 2), (12, 2.5)]
-        assert of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes) == pytest.approx(
-            20 - 2.5 - 6
-        )
+        gap = of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes)
+        assert gap == pytest.approx(20 - 2.5 - 6)
 
 
 class TestCentreDistance:
     def test_is_euclidean(self):
-        assert of_one_npc(
-            criticality.centre_distance, vehicle(1, 2, heading=0.4), vehicle(4, 6)
-        ) == pytest.approx(5)
+        ego, npc = vehicle(1, 2, heading=0.4), vehicle(4, 6)
+        assert of_one_npc(criticality.centre_distance, ego, npc) == pytest.approx(5)
 
 
 class TestTtc:
@@ -115,18 +113,16 @@ class TestEttc:
     @example(vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0))
     @example(vehicle(0, 1, heading=0.5, speed=1e-308), vehicle(50))
     def test_is_the_solution_of_the_two_lines(self, ego, npc):
-        directions = [
+        one, other = (
             math.copysign(1, state[SPEED] + 0.0)
             * np.array([math.cos(state[HEADING]), math.sin(state[HEADING])])
             for state in (ego[0], npc[0])
-        ]
-        matrix = np.column_stack([directions[0], -directions[1]])
-        expected = math.inf
+        )
+        matrix, expected = np.column_stack([one, -other]), math.inf
         if abs(np.linalg.det(matrix)) > 1e-9 and ego[0, SPEED] != 0:
             ways = np.linalg.solve(matrix, npc[0, :2] - ego[0, :2])
+            # the crossing point is under a vehicle's centre: ahead or behind is a matter of rounding
             if abs(ways).min() < 1e-9:
-                # the crossing point is under a vehicle's centre: ahead or behind is a matter of
-                # rounding
                 return
             expected = ways[0] / abs(ego[0, SPEED]) if (ways > 0).all() else math.inf
         assert_same(of_one_npc(criticality.ettc, ego, npc), expected)
@@ -188,9 +184,16 @@ def test_hardest_brake_is_the_largest_deceleration_of_the_ego_alone():
     ego = vehicle([0, 1, 2], speed=20, acceleration=[0, -3.5, 2])
     npc = vehicle([50, 51, 52], speed=20, acceleration=[0, -8, 0])
     assert criticality.hardest_brake(trace_of(ego, npc)) == 3.5
-    assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0, (
-        "it never brakes"
-    )
+    never = trace_of(vehicle(0, acceleration=2), vehicle(50))
+    assert criticality.hardest_brake(never) == 0, "it never brakes"
+
+
+WRONG_RULES = [
+    ("least_braking", 0),
+    ("hardest_braking", 0),
+    ("lateral_braking", 0),
+    ("ego_response", -1),
+]
 
 
 def stopping_way(speed, response, acceleration, braking, *, step=1e-3):
@@ -257,25 +260,15 @@ class TestRss:
         assert of_one_npc(criticality.longitudinal_gap, vehicle(0), vehicle(3, 4)) == 0
         assert of_one_npc(gap_across, vehicle(0), vehicle(30, 1)) == 0
 
-    @table("field", ["least_braking", "hardest_braking", "lateral_braking"])
-    def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
-        with pytest.raises(
-            ValueError, match=f"{field}: expected a finite number greater than 0, but received 0"
-        ):
-            RssRules(**{field: 0})
-
-    def test_rules_refuse_negative_times(self):
-        with pytest.raises(
-            ValueError,
-            match="ego_response: expected a finite number of at least 0, but received -1",
-        ):
-            RssRules(ego_response=-1)
+    @table(("name", "value"), WRONG_RULES)
+    def test_rules_refuse_brakes_that_never_stop_a_car_and_negative_times(self, name, value):
+        with pytest.raises(ValueError, match=f"^{name}:"):
+            RssRules(**{name: value})
 
 
 def test_a_run_has_a_duration_and_a_planned_one():
-    assert criticality.execution_time(
-        trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))
-    ) == pytest.approx(3)
+    trace = trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))
+    assert criticality.execution_time(trace) == pytest.approx(3)
     assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
 
 

@@ -24,9 +24,8 @@ seeds = st.integers(0, 2**32)
 
 def interpreted():
     """Return the module of the pass from its source, even if there is a compiled one next to it."""
-    spec = importlib.util.spec_from_file_location(
-        "interpreted", Path(sweep.__file__).with_name("sweep.py")
-    )
+    path = Path(sweep.__file__).with_name("sweep.py")
+    spec = importlib.util.spec_from_file_location("interpreted", path)
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
     return copy
@@ -54,35 +53,21 @@ def drawn(seed, *, spread=25.0):
     sizes = rng.uniform(1, 6, (vehicles, 2))
     states = random_states(rng, rows, vehicles, spread=spread)
     states[..., HEADING] *= rng.choice([0.0, 0.01, 1.0], size=(rows, vehicles))
-    return trace_of(
-        *np.moveaxis(states, 1, 0),
-        sizes=sizes,
-        lanes=straight_lanes(heading=rng.choice([0.0, 0.7])),
-    )
+    lanes = straight_lanes(heading=rng.choice([0.0, 0.7]))
+    return trace_of(*np.moveaxis(states, 1, 0), sizes=sizes, lanes=lanes)
 
 
 def meeting(seed):
     """Return a run with a contact 3 s away at first; then two random vehicles drive at each other, or nearly."""
     rng = np.random.default_rng(seed)
-    angle, distance, noise = (
-        rng.uniform(-math.pi, math.pi),
-        rng.uniform(15, 80),
-        rng.normal(0, 0.1, 2),
-    )
-    ego, npc = (
-        math.remainder(heading, math.tau)
-        for heading in (angle + noise[0], angle + math.pi + noise[1])
-    )
-    speed = rng.uniform(3, 20, 2)
+    angle, distance = rng.uniform(-math.pi, math.pi), rng.uniform(15, 80)
+    noise, speed = rng.normal(0, 0.1, 2), rng.uniform(3, 20, 2)
+    ego = math.remainder(angle + noise[0], math.tau)
+    npc = math.remainder(angle + math.pi + noise[1], math.tau)
+    x, y = distance * math.cos(angle), distance * math.sin(angle)
     return trace_of(
         vehicle(0, heading=[0, ego], speed=[30, speed[0]], lane=1),
-        vehicle(
-            [80, distance * math.cos(angle)],
-            [0, distance * math.sin(angle)],
-            heading=[0, npc],
-            speed=[5, speed[1]],
-            lane=2,
-        ),
+        vehicle([80, x], [0, y], heading=[0, npc], speed=[5, speed[1]], lane=2),
     )
 
 
@@ -119,11 +104,8 @@ class TestSweep:
 
     @pytest.mark.parametrize("of", [0, 2])
     def test_sweep_leaves_invalid_states_to_the_arrays(self, module, of):
-        columns, values = (
-            (X, Y, HEADING, SPEED, ACCELERATION, LANE),
-            (math.nan, math.inf, -math.inf, 2e6),
-        )
-        swept_anyway = []
+        columns = (X, Y, HEADING, SPEED, ACCELERATION, LANE)
+        values, swept_anyway = (math.nan, math.inf, -math.inf, 2e6), []
         for column, value in itertools.product(columns, values):
             states = drawn(4).states.copy()[:, :3]
             states[-1, of, column] = value
@@ -138,12 +120,13 @@ class TestSweep:
         assert by_arrays(trace)[0] == math.inf
 
 
-@table("sizes", [(1, 2), (2, 3), (2,)])
-def test_arrays_that_do_not_belong_together_are_refused(sizes):
-    with pytest.raises(ValueError, match="expected the shapes"):
-        sweep.extremes(np.zeros((4, 2, 7)), np.ones(sizes), (1.0, 0.0), 3.0)
-    with pytest.raises(ValueError, match="expected the shapes"):
-        sweep.extremes(np.zeros((4, 2, 6)), np.ones((2, 2)), (1.0, 0.0), 3.0)
+SEVEN, SIX = (4, 2, 7), (4, 2, 6)
+
+
+@table(("states", "sizes"), [(SEVEN, (1, 2)), (SEVEN, (2, 3)), (SEVEN, (2,)), (SIX, (2, 2))])
+def test_arrays_that_do_not_belong_together_are_refused(states, sizes):
+    with pytest.raises(ValueError, match=r"^states, sizes:"):
+        sweep.extremes(np.zeros(states), np.ones(sizes), (1.0, 0.0), 3.0)
 
 
 def test_roads_that_turn_are_left_to_the_arrays():

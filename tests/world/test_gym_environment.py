@@ -891,6 +891,7 @@ def mark(env):
 
 
 STREWN = lambda env: littered(400.0 + 100 * env.np_random.random(), 0.0)(env)  # noqa: E731
+STILL = Scenario(npcs=AT_ONCE, ego_lane=3)
 RESTLESS = [
     Falling,
     type("Rolling", (Falling,), {"fall": roll}),
@@ -904,13 +905,13 @@ def test_objects_that_do_not_stay_as_they_are_are_refused(cls, wrappers, mine):
     world = mine(cls, duration=6.0, wrappers=wrappers)
     for run in (world.rollout, world.rollout_in_gym):
         with refused("env_id"):
-            run(Scenario(npcs=AT_ONCE, ego_lane=3), IDLE)
+            run(STILL, IDLE)
 
 
 @FLAT
 def test_marks_may_be_added(wrappers, mine):
     world = mine(type("Marking", (Falling,), {"fall": mark}), duration=6.0, wrappers=wrappers)
-    assert world.rollout(Scenario(npcs=AT_ONCE, ego_lane=3), IDLE).outcome == "safe"
+    assert world.rollout(STILL, IDLE).outcome == "safe"
 
 
 class Lorry(Vehicle):
