@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario
 from pytest_pafot.attribution.mistakes import manoeuvre_before
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.verdict import Failure
-from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from pytest_pafot import Cell, Run
 from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, position_rule, rss_rule
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.oracle.run import Run
 from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.situations import cut_in, lane_change
 from tests.helpers.tables import table

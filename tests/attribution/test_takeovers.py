@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot import Cell, Highway, PositionInstruction, Run, Scenario
 from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
 from pytest_pafot.attribution.takeovers import drive, latest
-from pytest_pafot.model.instructions import Cell, PositionInstruction
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Outcome
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError
-from pytest_pafot.world import Highway
 from pytest_pafot.world.reference_drivers import HARD_BRAKING, CarefulHuman
 from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table

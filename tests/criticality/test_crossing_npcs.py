@@ -9,13 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot import criticality
+from pytest_pafot import Cell, Run, criticality
 from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, passages, time_advantage
 from pytest_pafot.criticality.measures import safety_shortfall
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
-from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import LANE, SPEED, Y
-from pytest_pafot.oracle.run import Run
 from tests.helpers.crossing_traces import CROSSES, HZ, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot import Cell, Run
 from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
-from pytest_pafot.model.instructions import Cell
-from pytest_pafot.oracle.run import Run
 from tests.helpers.drives import bent
 from tests.helpers.traces import LANE_WIDTH, LENGTH, scenario_of, trace_of, vehicle
 from tests.report.builders import view_of

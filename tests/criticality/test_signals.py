@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot import criticality
+from pytest_pafot import Highway, Run, criticality
 from pytest_pafot.criticality.signals import MEASURES, EgoSignals, NpcSignals
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.world import Highway
 from tests.helpers.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
 
 

@@ -1,7 +1,5 @@
 """Instructions at a zone, and the planned times and places of NPCs on their ways."""
 
-from __future__ import annotations
-
 import json
 import math
 import pickle

@@ -1,16 +1,14 @@
 """The grid around the ego, and the repair that keeps chains on its ring."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot import Cell
 from pytest_pafot.model.instructions import (
     ALL_CELLS,
-    Cell,
     cell_at,
     is_adjacent,
     longitudinal_target,

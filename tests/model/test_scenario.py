@@ -1,7 +1,5 @@
 """Position-Instructions and scenarios: which are valid, and the errors about the others."""
 
-from __future__ import annotations
-
 import json
 import math
 import pickle

@@ -1,7 +1,5 @@
 """The record of a run: shapes, read-only arrays, and values derived from them."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace
@@ -9,17 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.model.trace import (
-    ACCELERATION,
-    HEADING,
-    LANE,
-    SPEED,
-    STEERING,
-    Outcome,
-    Trace,
-    X,
-    Y,
-)
+from pytest_pafot import Trace
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
 from tests.helpers.tables import table
 from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 

@@ -1,7 +1,5 @@
 """What vehicles are: ready ones with fixed numbers, own ones within bounds, and the vehicles of a scenario's NPCs."""
 
-from __future__ import annotations
-
 import json
 import math
 import pickle
@@ -10,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot import PositionInstruction, Scenario, ScenarioError, VehicleType
+from pytest_pafot import NpcLimits, PositionInstruction, Scenario, ScenarioError, VehicleType
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, PAPERS, STYLES, TRUCK, VAN
 from pytest_pafot.support.errors import FieldError
-from pytest_pafot.world import NpcLimits
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 
@@ -117,7 +114,17 @@ def test_only_paper_traffic_is_not_attentive():
     assert [style for style in STYLES if not STYLES[style].is_attentive] == [PAPERS]
 
 
-NO_STYLES = [None, 3, True, [], ["hostile"], "fast", "", {"style": "paper"}, np.array(["paper", "x"])]
+NO_STYLES = [
+    None,
+    3,
+    True,
+    [],
+    ["hostile"],
+    "fast",
+    "",
+    {"style": "paper"},
+    np.array(["paper", "x"]),
+]
 
 
 @table("given", NO_STYLES)

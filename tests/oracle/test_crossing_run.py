@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot import Cell, Run
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at

@@ -6,12 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot import criticality
+from pytest_pafot import Cell, PositionInstruction, Run, Scenario, criticality
 from pytest_pafot.findings.shrink import instructions
-from pytest_pafot.model.instructions import Cell, PositionInstruction
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, AdsError, Outcome
-from pytest_pafot.oracle.run import Run
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.reference_runs import closing
 from tests.helpers.stages import mostly_oracle

@@ -1,20 +1,13 @@
 """What scenarios, vehicles, imperfect sight, records and measures say."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
 
+from pytest_pafot import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.algorithms.space import SearchSpace
 from pytest_pafot.criticality import RssRules, sweep
-from pytest_pafot.model.instructions import (
-    CrossingInstruction,
-    LaneInstruction,
-    PositionInstruction,
-    repair_gene,
-)
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.instructions import repair_gene
 from pytest_pafot.model.sight import Sight
 from tests.criticality import test_measures as measures
 from tests.criticality import test_signals as signals

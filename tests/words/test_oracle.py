@@ -1,7 +1,5 @@
 """What is said of runs and collisions: explanations, verdicts with their facts, checks."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

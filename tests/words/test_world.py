@@ -1,7 +1,5 @@
 """What worlds say: errors in their arguments, files, environments, simulators and policies, and how runs end."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import partial

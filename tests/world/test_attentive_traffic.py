@@ -1,7 +1,5 @@
 """Attentive NPCs around the ego in situations by hand, and what no NPC of a style does at any tick."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace
@@ -11,11 +9,9 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Highway, LaneInstruction, NpcLimits, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.world import Highway, NpcLimits
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.tables import table
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario

@@ -1,7 +1,5 @@
 """Worlds as plain data: what a corpus file may contain, and what not."""
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -10,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.vehicle_type import CAR, TRUCK, VAN, VehicleType
-from pytest_pafot.world import Highway, NpcLimits, World, from_dict
+from pytest_pafot import Highway, NpcLimits, PositionInstruction, Scenario, VehicleType, World
+from pytest_pafot.model.vehicle_type import CAR, TRUCK, VAN
+from pytest_pafot.world import from_dict
 from pytest_pafot.world.codec import describe_limits, describe_world_change, world_of_file
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table

@@ -1,7 +1,5 @@
 """The same scenario gives the same trace, also in other processes, with other hash seeds and other random states."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json
@@ -16,8 +14,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world import Highway, World
+from pytest_pafot import Highway, Scenario, World
 from tests.helpers.world_cases import EGOS, chains, constant_speed
 
 ROOT = Path(__file__).parents[2]

@@ -1,7 +1,5 @@
 """Every wrong world, and every scenario that does not fit, gives one clear error: place, expected, received, fix."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium
@@ -11,9 +9,7 @@ import pytest
 from highway_env.envs.common import abstract, observation
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world import Highway, NpcLimits, World
+from pytest_pafot import Highway, NpcLimits, PositionInstruction, Scenario, ScenarioError, World
 from tests.helpers.refusals import refused
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table

@@ -34,17 +34,15 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
+from pytest_pafot import Cell, PositionInstruction, Run, Scenario, ScenarioError, World
 from pytest_pafot.algorithms.fitness import before_impact
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.verdict import Failure
-from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioError
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError
-from pytest_pafot.world import World, WorldError
+from pytest_pafot.world import WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
 from pytest_pafot.world.limits import CONNECTED
 from tests.findings.builders import plain_finding

@@ -9,10 +9,9 @@ from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from example_ads.junctions import CarefulDriver
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import CrossingInstruction, Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
-from pytest_pafot.world import Highway, World, from_dict
+from pytest_pafot.world import from_dict
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 from tests.helpers.world_cases import EGOS, chains, constant_speed

@@ -1,7 +1,5 @@
 """Scenarios in which some NPCs are on the grid, others in lanes, and others cross, on every kind of road."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

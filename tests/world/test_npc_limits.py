@@ -1,16 +1,12 @@
 """NPCs drive like vehicles: their limits hold at every tick of every trace."""
 
-from __future__ import annotations
-
 import random
 
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Highway, NpcLimits, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import SPEED, Outcome, X, Y
-from pytest_pafot.world import Highway, NpcLimits, World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
 from tests.helpers.stages import oracle

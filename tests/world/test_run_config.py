@@ -1,7 +1,5 @@
 """Danger comes only from driving: at tick 0 no vehicle touches or endangers another."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from types import SimpleNamespace
@@ -11,11 +9,9 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import criticality
-from pytest_pafot.model.instructions import Cell, PositionInstruction, cell_at
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario, World, criticality
+from pytest_pafot.model.instructions import cell_at
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
-from pytest_pafot.world import Highway, World
 from pytest_pafot.world.limits import BEND_SHARE
 from pytest_pafot.world.run_config import starts_of
 from tests.helpers.tables import table

@@ -1,7 +1,5 @@
 """Vehicles of other sizes keep their own limits, and touch where their boxes do, on every road and in every engine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import product

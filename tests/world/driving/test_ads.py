@@ -1,7 +1,5 @@
 """The four kinds of ADS, new for each scenario, and the factories that make them."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import gc
@@ -13,10 +11,9 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Highway, Observation, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.world import AdsFactoryError, Highway, Observation, World
+from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.kernel.director import Director
 from tests.helpers.tables import table
 

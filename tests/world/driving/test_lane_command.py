@@ -1,7 +1,5 @@
 """A planner that names a lane, and a speed or an acceleration: the vehicle drives there as a car does."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

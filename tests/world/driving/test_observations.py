@@ -1,7 +1,5 @@
 """Observations equal highway-env's own to the last bit, compiled or interpreted, or are highway-env's own."""
 
-from __future__ import annotations
-
 import functools
 from contextlib import nullcontext
 
@@ -15,9 +13,7 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world import World
+from pytest_pafot import PositionInstruction, Scenario, World
 from pytest_pafot.world.driving.environment import FastTable, observer
 from pytest_pafot.world.driving.vehicles import SearchedLanes, StockVehicle
 from pytest_pafot.world.kernel.lane_network import FEATURES

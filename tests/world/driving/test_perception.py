@@ -8,8 +8,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
 from pytest_pafot.world.driving.policy import sight_of

@@ -1,7 +1,5 @@
 """The trimmed vehicles and roads against highway-env's own, and roads that are not highway-env's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which driver drives an ego, and that every run equals the run by highway-env's own ``env.step``."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """An environment, or a wrapper, that does not return from a method ends its run as a hang, and is named."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time
@@ -12,13 +10,12 @@ import pytest
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import PositionInstruction, Run, Scenario
+from pytest_pafot import PositionInstruction, Run, Scenario, World
 from pytest_pafot.findings.finding import ads_failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searches.harness import ads_text
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.process import interrupted_by_signals
-from pytest_pafot.world import World
 from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import (

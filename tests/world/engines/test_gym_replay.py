@@ -4,12 +4,9 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario, World
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving.vehicles import StockVehicle, TrafficClass
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences

@@ -1,7 +1,5 @@
 """The environment's own ends of a run: at the tick at which ``env.step`` ends an episode, on every route of a run."""
 
-from __future__ import annotations
-
 import copy
 import random
 import time
@@ -15,13 +13,10 @@ from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
+from pytest_pafot import Cell, PositionInstruction, Run, Scenario, World
 from pytest_pafot.findings.finding import Finding, Found, handles, unhandled
 from pytest_pafot.findings.verdict import Failure
-from pytest_pafot.model.instructions import Cell, PositionInstruction
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, X
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.world import World
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept

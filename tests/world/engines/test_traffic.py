@@ -1,7 +1,5 @@
 """The code of an environment sees the NPCs as vehicles of the environment's own traffic, as it does in ``env.step``."""
 
-from __future__ import annotations
-
 import random
 from abc import abstractmethod
 
@@ -17,15 +15,9 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
+from pytest_pafot import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario, World
 from pytest_pafot.algorithms import sample
-from pytest_pafot.model.instructions import (
-    CrossingInstruction,
-    LaneInstruction,
-    PositionInstruction,
-)
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE
-from pytest_pafot.world import World
 from pytest_pafot.world.codec import from_dict
 from tests.helpers.c_library import c_library
 from tests.helpers.refusals import refused

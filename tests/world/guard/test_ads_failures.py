@@ -1,7 +1,5 @@
 """An ADS that raises, returns nonsense, hangs or is slow has its own outcome, never a collision or a crash."""
 
-from __future__ import annotations
-
 import asyncio
 import bdb
 import contextlib
@@ -18,11 +16,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.process import Ended, interrupted_by_signals
-from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 from tests.helpers.stopped_clock import StoppedClock

@@ -6,10 +6,8 @@ import itertools
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.world import Highway, World
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.stopped_clock import StoppedClock
 

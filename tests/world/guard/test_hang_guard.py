@@ -1,7 +1,5 @@
 """The thread that watches all decisions of a process exists only when needed."""
 
-from __future__ import annotations
-
 import bdb
 import contextlib
 import math

@@ -1,7 +1,5 @@
 """The contact oracle, against a different method: clipping one polygon with the other."""
 
-from __future__ import annotations
-
 import math
 import random
 

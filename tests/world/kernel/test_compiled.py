@@ -1,7 +1,5 @@
 """The compiled kernel gives the same traces as the interpreted source."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +7,8 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import PositionInstruction, Scenario
+from pytest_pafot import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.algorithms import sample
-from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies

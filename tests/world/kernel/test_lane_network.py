@@ -12,11 +12,9 @@ from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
+from pytest_pafot import CrossingInstruction, Scenario, World
 from pytest_pafot.algorithms import sample
-from pytest_pafot.model.instructions import CrossingInstruction
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, X
-from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.engines import policies
 from pytest_pafot.world.kernel.loop import ModelDriver

@@ -1,15 +1,11 @@
 """A planner's observation is made on access, and is a value like any other, which users can make and change."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
 import pytest
 
-from pytest_pafot.model.instructions import PositionInstruction
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world import Highway, Observation, VehicleState
+from pytest_pafot import Highway, Observation, PositionInstruction, Scenario, VehicleState
 from tests.helpers.tables import table
 
 NPCS = [[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]]

@@ -9,9 +9,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_pafot import World
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import CrossingInstruction, PositionInstruction, Scenario, ScenarioError, World
 from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, Outcome, X, Y
 from tests.helpers.crossings import clashes
 from tests.helpers.refusals import refused

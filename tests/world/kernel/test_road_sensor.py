@@ -1,7 +1,5 @@
 """The observations of a planner in SI units: vehicles on its way along that way, and all others at junctions."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A kind of road that the package does not have: straight lanes at an angle to the x axis."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from dataclasses import dataclass, replace
