@@ -124,18 +124,13 @@ def test_road_frame_is_nan_off_the_way():
         assert not np.isnan(values[0]).any()
 
 
-def test_first_drift_on_way_follows_the_heading():
+def test_first_drift_on_way_follows_the_heading_and_behind_it_there_is_none():
     trace = mixed()
-    frame = RoadFrame(trace)
-    angle = trace.track[MERGED, 2, 2]
+    frame, track = RoadFrame(trace), trace.track.copy()
+    angle = track[MERGED, 2, 2]
     assert frame.drift[2, MERGED] == pytest.approx(10.0 * math.sin(angle))
     moved = (trace.states[MERGED + 1, 2, Y] - trace.states[MERGED, 2, Y]) * HZ
     assert frame.drift[2, MERGED + 1] == pytest.approx(moved, abs=0.05)
-
-
-def test_npc_leaving_the_ego_way_has_no_drift():
-    trace = mixed()
-    track = trace.track.copy()
     track[80:, 2] = np.nan
     drift = RoadFrame(replace(trace, track=track)).drift[2]
     np.testing.assert_array_equal(np.isnan(drift), np.isnan(track[:, 2, 0]))
@@ -148,13 +143,10 @@ def test_npc_off_the_way_is_in_no_cell():
     assert positions.last_cell(0, trace.ticks) is None
     assert positions.cell(1, MERGED - 1) is None
     assert positions.cell(1, MERGED) == positions.last_cell(1, trace.ticks) == Cell.FRONT
-
-
-def test_npc_merging_into_ego_cell_had_no_cell():
-    trace = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
-    positions = Encounters(trace)
+    into_ego = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
+    positions, tick = Encounters(into_ego), into_ego.ticks
     assert abs(positions.ahead[0, -1]) < 2.5
-    assert positions.cell(0, trace.ticks) is positions.last_cell(0, trace.ticks) is None
+    assert positions.cell(0, tick) is positions.last_cell(0, tick) is None
 
 
 def test_leader_is_always_on_the_ego_way():

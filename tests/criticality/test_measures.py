@@ -76,20 +76,16 @@ def assert_same(actual, expected):
     np.testing.assert_allclose(np.tanh(actual / 100), np.tanh(expected / 100), rtol=1e-6, atol=1e-9)
 
 
-class TestGap:
+class TestDistances:
     @given(movers(), movers())
-    def test_is_the_distance_of_the_two_polygons(self, ego, npc):
+    def test_gap_is_the_distance_of_the_two_polygons(self, ego, npc):
         expected = polygon_distance(corners(ego[0]), corners(npc[0]))
         assert of_one_npc(criticality.gap, ego, npc) == pytest.approx(expected, abs=1e-6)
 
-    def test_uses_each_vehicle_s_own_size(self):
+    def test_gap_uses_each_vehicles_own_size_and_centre_distance_is_euclidean(self):
         sizes = [(5, 2), (12, 2.5)]
         gap = of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes)
         assert gap == pytest.approx(20 - 2.5 - 6)
-
-
-class TestCentreDistance:
-    def test_is_euclidean(self):
         ego, npc = vehicle(1, 2, heading=0.4), vehicle(4, 6)
         assert of_one_npc(criticality.centre_distance, ego, npc) == pytest.approx(5)
 
@@ -138,15 +134,16 @@ class TestSafetyDistance:
     def test_is_what_the_follower_gains_in_three_seconds(self, ego, npc, expected):
         assert of_one_npc(criticality.safety_distance, ego, npc) == pytest.approx(expected)
 
-    def test_follower_is_decided_along_road_and_not_heading(self):
+    def test_follower_is_decided_along_road_and_not_heading_and_follows_lane_of_the_ego(self):
         ego, npc = vehicle(0, 0, heading=0.3, speed=20), vehicle(1, -4, speed=20)
         assert ego_follows(trace_of(ego, npc))[0, 0]
-
-    def test_road_in_bend_follows_lane_of_the_ego(self):
-        lanes = (*straight_lanes(1), *straight_lanes(1, heading=math.pi))
-        npc = vehicle(10, speed=20)
-        assert ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
-        assert not ego_follows(trace_of(vehicle(0, lane=1), npc, lanes=lanes))[0, 0]
+        lanes, npc = (
+            (*straight_lanes(1), *straight_lanes(1, heading=math.pi)),
+            vehicle(10, speed=20),
+        )
+        for lane, follows in ((0, True), (1, False)):
+            trace = trace_of(vehicle(0, lane=lane), npc, lanes=lanes)
+            assert ego_follows(trace)[0, 0] == follows
 
 
 class TestSafetyShortfall:
@@ -212,7 +209,7 @@ class TestRss:
         ego_response=0.5, npc_response=1.5, acceleration=3, least_braking=4, hardest_braking=9
     )
 
-    @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
+    @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0), (5, 30)])
     def test_rss_longitudinal_distance_suffices_exactly_in_worst_case(self, follower, leader):
         expected = stopping_way(follower, 0.5, 3, 4) - stopping_way(leader, 0, 0, 9)
         trace = trace_of(vehicle(0, speed=follower), vehicle(99, speed=leader))
@@ -223,9 +220,6 @@ class TestRss:
         expected = stopping_way(20, 1.5, 3, 4) - stopping_way(15, 0, 0, 9)
         assert safe_along(trace, self.rules)[0, 0] == pytest.approx(expected, abs=0.05)
 
-    def test_longitudinal_distance_is_never_negative(self):
-        assert of_one_npc(safe_along, vehicle(0, speed=5), vehicle(50, speed=30)) == 0
-
     def test_oncoming_leader_needs_more_distance_than_standing_leader(self):
         standing, oncoming = (
             of_one_npc(safe_along, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed))
@@ -234,29 +228,23 @@ class TestRss:
         assert oncoming == pytest.approx(standing + 100 / 16)
 
     def test_rss_lateral_distance_matches_calculation_by_hand(self):
-        # Ego: 0.2 / 2 + 0.2^2 / 1.6; NPC: 0.2 * 4 / 2 + 0.4^2 / 1.6; and the margin of 0.1.
-        ego, npc = vehicle(0, speed=20), vehicle(0, 4, speed=20)
-        assert of_one_npc(safe_across, ego, npc) == pytest.approx(0.125 + 0.5 + 0.1)
+        # Ego: 0.2 / 2 + 0.2^2 / 1.6; NPC: 0.2 * 4 / 2 + 0.4^2 / 1.6; and the margin of 0.1, alone if the NPC leaves.
+        for heading, expected in ((0.0, 0.125 + 0.5 + 0.1), (0.1, 0.1)):
+            npc = vehicle(0, 4, heading=heading, speed=20)
+            assert of_one_npc(safe_across, vehicle(0, speed=20), npc) == pytest.approx(expected)
 
-    @pytest.mark.parametrize("side", [-1, 1])
+    @table("side", [-1, 1])
     def test_rss_lateral_distance_suffices_exactly_in_worst_case(self, side):
-        heading = -side * 0.05  # towards the ego
-        ego, npc = vehicle(0, speed=20), vehicle(0, side * 4, heading=heading, speed=20)
-        expected = (
-            0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
-        )
-        assert of_one_npc(safe_across, ego, npc) == pytest.approx(expected, abs=0.01)
-
-    def test_rss_lateral_distance_is_margin_when_npc_leaves(self):
-        ego, npc = vehicle(0, speed=20), vehicle(0, 4, heading=0.1, speed=20)
-        assert of_one_npc(safe_across, ego, npc) == pytest.approx(0.1)
+        npc = vehicle(0, side * 4, heading=-side * 0.05, speed=20)  # towards the ego
+        way = stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
+        found = of_one_npc(safe_across, vehicle(0, speed=20), npc)
+        assert found == pytest.approx(0.1 + way, abs=0.01)
 
     def test_gaps_are_measured_along_and_across_the_road(self):
         ego, npc = vehicle(0), vehicle(20, 6, heading=math.pi / 2)
         assert of_one_npc(criticality.longitudinal_gap, ego, npc) == pytest.approx(20 - 2.5 - 1)
         assert of_one_npc(gap_across, ego, npc) == pytest.approx(6 - 1 - 2.5)
-
-    def test_gaps_are_zero_where_the_projections_overlap(self):
+        # the projections overlap
         assert of_one_npc(criticality.longitudinal_gap, vehicle(0), vehicle(3, 4)) == 0
         assert of_one_npc(gap_across, vehicle(0), vehicle(30, 1)) == 0
 

@@ -78,10 +78,8 @@ class TestInstructions:
         assert len({gene, crosses(speed=8)}) == 1
 
     @given(st.integers(-50, 50))
-    def test_slots_are_tenths_however_they_were_computed(self, tenths):
+    def test_slots_are_tenths_however_they_were_computed_and_never_minus_zero(self, tenths):
         assert crosses(slot=tenths * 0.1).slot == crosses(slot=tenths / 10).slot == tenths / 10
-
-    def test_no_slot_is_minus_zero(self):
         assert math.copysign(1, crosses(slot=-0.0).slot) == 1
 
     @table(("changes", "field"), WRONG.values())
@@ -146,8 +144,6 @@ class TestScenarios:
         assert scenario.crossings == (crosses(), None, crosses(slot=-1))
         assert Scenario(npcs=[[one()]]).crossings == ()
         assert on_grid(scenario.npcs, [[Cell(2), Cell(3)]]) == [(), [Cell(2), Cell(3)], ()]
-
-    def test_npc_in_lanes_may_be_beside_all_others(self):
         lanes = LaneInstruction("left", 8.0), LaneInstruction("keep", 5.0)
         scenario = Scenario(npcs=[lanes, [crosses()], [one(2)]])
         assert scenario.positions == ((one(2),),)
@@ -160,8 +156,6 @@ class TestScenarios:
 
     def test_an_instruction_at_a_zone_has_no_duration(self):
         assert retimed((crosses(),), 10.0, 3.0) == (crosses(),)
-
-    def test_scenario_with_crossing_npc_has_no_fixed_length(self):
         assert Scenario(npcs=[[one()], [one(3), one(4)]], gene_seconds=4.0).seconds == 8.0
         assert Scenario(npcs=[[one()], [crosses()]], gene_seconds=4.0).seconds == math.inf
 

@@ -23,16 +23,10 @@ LENGTH, LANE = 5.0, 4.0
 
 cells = st.sampled_from(Cell)
 seeds = st.integers(0, 2**63 - 1)
-roads = st.sampled_from(
-    [
-        ALL_CELLS,
-        # ego on the left lane
-        frozenset({Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}),
-        # ego on the right lane
-        frozenset({Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}),
-        frozenset({Cell.FRONT, Cell.REAR}),  # one lane
-    ]
-)
+LEFTMOST = {Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}
+RIGHTMOST = {Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}
+ONE_LANE = {Cell.FRONT, Cell.REAR}
+roads = st.sampled_from([ALL_CELLS, *map(frozenset, (LEFTMOST, RIGHTMOST, ONE_LANE))])
 
 
 @st.composite
@@ -44,14 +38,11 @@ def gene_requests(draw, most=8):
     return previous, requested, draw(roads), coins
 
 
-def test_cells_run_clockwise_from_the_front_left():
+def test_cells_run_clockwise_from_the_front_left_in_a_ring():
     around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
     assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
     labels = {1: "front-left", 2: "front", 5: "rear-right", 8: "left"}
     assert {number: Cell(number).label for number in labels} == labels
-
-
-def test_the_ring_closes_between_8_and_1():
     assert Cell.FRONT_LEFT.neighbours == (Cell.LEFT, Cell.FRONT)
     assert Cell.LEFT.neighbours == (Cell.REAR_LEFT, Cell.FRONT_LEFT)
 

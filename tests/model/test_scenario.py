@@ -143,15 +143,11 @@ def test_every_field_is_part_of_the_id():
     assert len({other.id for other in (scenario, *others)}) == len(others) + 1
 
 
-def test_the_id_is_the_same_on_every_machine():
+def test_text_and_id_are_the_same_on_every_machine():
     scenario = Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7)
     assert scenario.canonical() == "[[[[1,25.0],[2,8.0]]],7,1,22.0,10.0]"
-    assert scenario.id == "4240d6"
-
-
-def test_zero_and_minus_zero_are_one_speed():
-    a = Scenario(npcs=[[one(2, 0.0)]], ego_speed=0.0)
-    b = Scenario(npcs=[[one(2, -0.0)]], ego_speed=-0.0)
+    assert (scenario.id, str(scenario)) == ("4240d6", "<Scenario 4240d6: 1@25 2@8>")
+    a, b = (Scenario(npcs=[[one(2, zero)]], ego_speed=zero) for zero in (0.0, -0.0))
     assert a == b
     assert a.canonical() == b.canonical()
 
@@ -161,11 +157,6 @@ def test_truncating_keeps_the_first_genes(scenario, genes):
     short = scenario.truncated(genes)
     assert short.genes == min(genes, scenario.genes)
     assert all(a == b[: len(a)] for a, b in zip(short.npcs, scenario.npcs, strict=True))
-
-
-def test_a_scenario_in_a_message_is_its_chains_on_one_line():
-    scenario = Scenario(npcs=[[one(1, 25), one(2, 8.5)], [one(6, 0)]])
-    assert str(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
 
 
 BROKEN = {
@@ -222,13 +213,11 @@ def test_scenario_is_accepted_exactly_if_repair_changes_nothing(chains):
 class TestLaneInstructions:
     """Lane-Instructions are genes without a cell: keep the own lane or change it by one, at a speed."""
 
-    def test_lane_instructions_take_three_lanes_and_tenths(self):
-        assert LaneInstruction("left", 12).speed == 12.0
-        columns = {lane: LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")}
-        assert columns == {"keep": 0, "left": -1, "right": 1}
-
     @table("lane", ["up", "", None, 1, "Left"])
-    def test_another_lane_is_refused(self, lane):
+    def test_lane_instructions_take_three_lanes_and_tenths(self, lane):
+        assert LaneInstruction("left", 12).speed == 12.0
+        columns = {each: LaneInstruction(each, 1.0).column for each in ("keep", "left", "right")}
+        assert columns == {"keep": 0, "left": -1, "right": 1}
         with refused("lane", ScenarioError):
             LaneInstruction(lane, 10.0)
 

@@ -20,8 +20,10 @@ def made(states, sizes, **fields):
     return Trace(scenario=scenario, executed=scenario, **given)
 
 
-def test_column_constants_follow_the_order_of_array():
+def test_columns_follow_the_order_of_the_array_and_outcomes_have_the_names_of_files():
     assert [X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE] == [0, 1, 2, 3, 4, 5, 6]
+    names = "safe off_road left_route end_of_road collision invalid ads_error hang"
+    assert [str(outcome) for outcome in Outcome] == names.split()
 
 
 def test_arrays_are_copies_in_float64_and_read_only():
@@ -58,14 +60,12 @@ def test_arrays_of_wrong_shapes_are_refused(states, sizes, name):
 
 def test_trace_has_one_row_more_than_its_ticks():
     trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(50.0, ticks=30))
-    assert trace.ticks == 30
-    assert trace.states.shape == (31, 2, 7)
-    assert trace.dt == 1 / 15
-    assert trace.duration == 2.0
+    assert (trace.ticks, trace.dt, trace.duration) == (30, 1 / 15, 2.0)
+    shapes = trace.states.shape, trace.ego.shape, trace.npcs.shape
+    assert shapes == ((31, 2, 7), (31, 7), (31, 1, 7))
     assert trace.times.tolist() == [tick / 15 for tick in range(31)]
-    assert trace.ego.shape == (31, 7)
-    assert trace.npcs.shape == (31, 1, 7)
-    assert repr(trace) == f"<Trace safe after 2.0 s of {trace.scenario.id}>"
+    rows = trace.rows_until(7)
+    assert (len(rows["states"]), rows["track"], rows["on_way"]) == (8, None, None)
     at_once = trace_of(vehicle(0.0), vehicle(50.0))
     assert (at_once.ticks, at_once.duration) == (0, 0.0)
 
@@ -75,19 +75,10 @@ def test_speed_limit_is_that_of_fastest_lane():
     assert trace_of(vehicle(0.0), vehicle(50.0), lanes=lanes).speed_limit == 30.0
 
 
-def test_outcomes_are_the_texts_that_corpus_files_have():
-    assert [str(outcome) for outcome in Outcome] == [
-        "safe", "off_road", "left_route", "end_of_road", "collision", "invalid", "ads_error", "hang"
-    ]  # fmt: skip
-
-
-def test_track_of_vehicle_is_recorded_on_curved_roads():
+def test_track_of_vehicle_is_recorded_on_curved_roads_and_follows_on_straight_ones():
     states, sizes = np.zeros((2, 2, 7)), np.full((2, 2), 5.0)
     bent = made(states, sizes, track=np.arange(2 * 2 * 5.0).reshape(2, 2, 5))
     assert bent.track_of(1).tolist() == [[5.0, 6.0, 7.0, 8.0, 9.0], [15.0, 16.0, 17.0, 18.0, 19.0]]
-
-
-def test_straight_road_has_a_track_too():
     one = vehicle(3.0, lane=1, y=4.5, heading=0.1, speed=10.0, ticks=2)
     trace = trace_of(one, vehicle(30.0, ticks=2))
     assert trace.track is None
@@ -96,11 +87,8 @@ def test_straight_road_has_a_track_too():
 
 
 def test_both_kinds_of_road_agree_on_a_straight_one():
-    straight = trace_of(
-        vehicle(0.0, speed=10.0, ticks=30),
-        vehicle(30.0, lane=1, y=3.0, ticks=30),
-        lanes=straight_lanes(2),
-    )
+    ego, npc = vehicle(0.0, speed=10.0, ticks=30), vehicle(30.0, lane=1, y=3.0, ticks=30)
+    straight = trace_of(ego, npc, lanes=straight_lanes(2))
     recorded = replace(straight, track=straight.road.track)
     one, other = straight.road, recorded.road
     assert (one.is_straight, other.is_straight) == (True, False)
@@ -113,9 +101,3 @@ def test_both_kinds_of_road_agree_on_a_straight_one():
         assert one.offset(0, tick) == other.offset(0, tick)
         assert one.counted(tick, 1) == other.counted(tick, 1) == 1.0
     assert one.displacement(1, 0, 30) == other.displacement(1, 0, 30)
-
-
-def test_rows_until_a_tick_end_with_it():
-    trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(30.0, ticks=30))
-    rows = trace.rows_until(7)
-    assert (len(rows["states"]), rows["track"], rows["on_way"]) == (8, None, None)

@@ -34,12 +34,16 @@ def test_observation_matches_last_tick_of_the_trace():
     assert [now.lateral_velocities[0] for now in seen[1:]] == pytest.approx(next_tick, abs=1e-9)
 
 
-def test_observations_of_different_times_differ():
+def test_observations_of_different_times_differ_and_are_copied_as_they_are_seen():
     _, seen = driven()
     first, second, *_ = seen
     assert first != second
     assert first != tuple(first._values())
     assert len({*map(hash, seen)}) == 20
+    assert second.replace() == second
+    assert second.replace() is not second
+    with pytest.raises(TypeError):
+        second.replace(colour="red")
 
 
 def test_an_observation_can_be_made_printed_and_pickled():
@@ -62,14 +66,11 @@ def test_an_observation_is_read_only(name):
         setattr(driven()[1][0], name, 1)
 
 
-def test_user_makes_an_observation_of_an_ego_alone():
+def test_user_makes_an_observation_of_an_ego_alone_and_copies_of_it():
     seen = Observation(time=1.0, ego=EGO)
     assert (seen.others, seen.ids) == ((), ())
     assert (seen.lanes, seen.lane_width, seen.speed_limit) == (4, 4.0, 26.8)
     assert seen.array.tolist() == [[200.0, 4.0, 0.1, 20.0, 1.0, 5.0, 2.0]]
-
-
-def test_copy_has_the_changed_field_and_all_others():
     seen = Observation(time=1.0, ego=EGO, steering=0.2, **SEVERAL)
     copy = seen.replace(time=2.0)
     assert (copy.time, copy.steering) == (2.0, 0.2)
@@ -83,11 +84,3 @@ def test_what_describes_other_vehicles_is_made_again_for_them():
     assert alone.ids == ()
     assert alone.lateral_velocities == (pytest.approx(20.0 * 0.0998334, abs=1e-4),)
     assert (moved.ids, len(moved.lateral_velocities)) == ((4, 7), 3)
-
-
-def test_observation_of_a_run_is_copied_as_it_is_seen_and_has_no_other_fields():
-    seen = driven()[1][2]
-    assert seen.replace() == seen
-    assert seen.replace() is not seen
-    with pytest.raises(TypeError):
-        seen.replace(colour="red")

@@ -148,15 +148,13 @@ def test_npcs_stay_near_lane_centre_in_bends(env_id):
     assert abs(trace.track[:, 1, OFFSET]).max() < 0.25
 
 
-def test_way_follows_ego_route_or_default_choice():
+def test_way_follows_ego_route_or_default_choice_from_before_its_start():
     assert ("ir0", "il1") in world_of("intersection-v0").road.sections  # planned, to the left
     assert ("ir0", "il2") in world_of("intersection-v1").road.sections  # straight on
     assert ("nx", "nxs") in world_of("roundabout-v1").road.sections
-
-
-def test_way_behind_the_ego_leads_to_its_start():
-    """On a circuit, NPCs behind the ego are on the lanes that lead to its start."""
-    road = world_of("racetrack-v1").road
+    road = world_of(
+        "racetrack-v1"
+    ).road  # NPCs behind the ego are on the lanes that lead to its start
     assert road.start > 150
     x, y, _ = road.position(road.start - 60, road.ego_lane)
     x0, y0, _ = road.position(road.start, road.ego_lane)
