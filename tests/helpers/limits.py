@@ -24,21 +24,16 @@ def limits(world, trace):
     for npc, vehicle in enumerate(trace.scenario.all_vehicles):
         own = stated.for_vehicle(vehicle)
         who = "NPCs" if vehicle == CAR else f"a {vehicle.name}"
+        top = min(own.overspeed * world.speed_limit, vehicle.top_speed)
         for name, values, low, high in (
-            ("speed", speed, 0.0, min(own.overspeed * world.speed_limit, vehicle.top_speed)),
+            ("speed", speed, 0.0, top),
             ("acceleration", acceleration, -own.braking, own.acceleration),
             ("jerk", jerk, -own.jerk, own.jerk),
             ("heading", angle, -own.heading, own.heading),
             ("lateral acceleration", aside, -own.lateral_acceleration, own.lateral_acceleration),
         ):
-            least, most = (
-                float(np.min(values[:, npc], initial=0.0)),
-                float(np.max(values[:, npc], initial=0.0)),
-            )
+            least = float(np.min(values[:, npc], initial=0.0))
+            most = float(np.max(values[:, npc], initial=0.0))
             spare = ROUNDING + SINGLE * max(abs(low), high)
-            is_kept = low - spare <= least and most <= high + spare
-            yield (
-                is_kept,
-                f"the {name} of {who} is from {low:g} to {high:g}",
-                f"{least:g} to {most:g}",
-            )
+            promise = f"the {name} of {who} is from {low:g} to {high:g}"
+            yield low - spare <= least and most <= high + spare, promise, f"{least:g} to {most:g}"

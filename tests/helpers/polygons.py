@@ -9,15 +9,10 @@ from tests.helpers.traces import LENGTH, WIDTH
 
 
 def corners(state, length=LENGTH, width=WIDTH):
-    x, y, heading = state[X], state[Y], state[HEADING]
-    cos, sin = math.cos(heading), math.sin(heading)
-    return [
-        (
-            x + a * length / 2 * cos - b * width / 2 * sin,
-            y + a * length / 2 * sin + b * width / 2 * cos,
-        )
-        for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
-    ]
+    x, y, cos, sin = state[X], state[Y], math.cos(state[HEADING]), math.sin(state[HEADING])
+    signs = ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    halves = [(a * length / 2, b * width / 2) for a, b in signs]
+    return [(x + a * cos - b * sin, y + a * sin + b * cos) for a, b in halves]
 
 
 def moved(state, seconds):
@@ -39,10 +34,8 @@ def polygon_distance(p, q):
     if polygons_meet(p, q):
         return 0.0
     edges = [(a, b) for a in edges_of(p) for b in edges_of(q)]
-    return min(
-        min(point_to_segment(end, *b) for end in a)
-        for a, b in [*edges, *((b, a) for a, b in edges)]
-    )
+    both = [*edges, *((b, a) for a, b in edges)]
+    return min(point_to_segment(end, *b) for a, b in both for end in a)
 
 
 def edges_of(polygon):

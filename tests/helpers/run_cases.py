@@ -15,16 +15,7 @@ from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, random_scenario
 
 FREQUENCIES = ((15, 5), (15, 15), (20, 10), (30, 5), (12, 4), (5, 1))
-SAME = (
-    "executed",
-    "outcome",
-    "collision",
-    "error",
-    "actions",
-    "arrivals",
-    "off_road_tick",
-    "lanes",
-)
+SAME = "executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes"
 
 
 class Hurried(IDMVehicle):
@@ -40,15 +31,8 @@ class Hurried(IDMVehicle):
 
 def steps_and_swerves():
     """Return an ADS that cycles through kinds of action: beyond a car's limits, lists, arrays, whole numbers, zeros."""
-    actions = (
-        (9.0, 0.0),
-        (-20.0, 0.01),
-        [1, 0],
-        np.array([0.5, -0.01]),
-        (0.0, 2.0),
-        (0, 0),
-        (-3.0, -0.02),
-    )
+    wild, plain = [(9.0, 0.0), (-20.0, 0.01), [1, 0]], [(0.0, 2.0), (0, 0), (-3.0, -0.02)]
+    actions = (*wild, np.array([0.5, -0.01]), *plain)
     return lambda observation: actions[int(observation.time * 2) % len(actions)]
 
 
@@ -57,13 +41,11 @@ def follows():
 
     def drive(observation):
         ego = observation.ego
-        ahead = [
-            other for other in observation.others if other.lane == ego.lane and other.x > ego.x
+        in_lane = [each for each in observation.others if each.lane == ego.lane]
+        gaps = [
+            each.x - ego.x - (each.length + ego.length) / 2 for each in in_lane if each.x > ego.x
         ]
-        gap = min(
-            (other.x - ego.x - (other.length + ego.length) / 2 for other in ahead), default=100.0
-        )
-        wish = 0.3 * (min(observation.speed_limit, gap / 1.2) - ego.speed)
+        wish = 0.3 * (min(observation.speed_limit, min(gaps, default=100.0) / 1.2) - ego.speed)
         return wish, -0.01 * (ego.y - ego.lane * observation.lane_width) - 0.3 * ego.heading
 
     return drive
@@ -94,13 +76,9 @@ class Case:
         rng = random.Random(seed)
         lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
         world = Highway(
-            lanes=lanes,
-            physics_hz=physics_hz,
-            ads_hz=ads_hz,
-            speed_limit=rng.choice([26.8, 20.0, 35.0]),
-            clearance=rng.choice([0.0, 3.0, 10.0]),
-            headway=rng.choice([1.0, 2.0]),
-        )
+            lanes=lanes, physics_hz=physics_hz, ads_hz=ads_hz, speed_limit=rng.choice([26.8, 20.0, 35.0]),
+            clearance=rng.choice([0.0, 3.0, 10.0]), headway=rng.choice([1.0, 2.0]),
+        )  # fmt: skip
         scenario = random_scenario(rng, lanes=lanes, speed_limit=world.speed_limit)
         if rng.random() < 0.3:
             scenario = replace(scenario, gene_seconds=10.0)

@@ -25,10 +25,7 @@ def constant_speed():
 
 def weaving():
     """Return an ADS that speeds up and slows down while it swerves, sometimes off the road."""
-    return lambda observation: (
-        3 * math.sin(0.7 * observation.time),
-        0.05 * math.sin(1.3 * observation.time),
-    )
+    return lambda seen: (3 * math.sin(0.7 * seen.time), 0.05 * math.sin(1.3 * seen.time))
 
 
 def stopping():
@@ -77,16 +74,12 @@ def random_scenario(
     lane = rng.randrange(lanes)
     free = 8 if 0 < lane < lanes - 1 else 5
     count = min(npcs or rng.randint(1, 8), free)
-    return Scenario.repaired(
-        [chains(rng, 1, rng.randint(1, 4), speed_limit)[0] for _ in range(count)],
-        seed=rng.randrange(2**40),
-        ego_lane=lane,
-        ego_speed=rng.choice(
-            [0.0, 5.0, speed_limit, rng.uniform(0, speed_limit), 0.8 * speed_limit]
-        ),
-        gene_seconds=rng.choice([1.0, 2.0, 4.0]),
-        traffic=rng.choice(TRAFFICS),
-    )
+    drawn = [chains(rng, 1, rng.randint(1, 4), speed_limit)[0] for _ in range(count)]
+    seed, uniform = rng.randrange(2**40), rng.uniform(0, speed_limit)
+    speed = rng.choice([0.0, 5.0, speed_limit, uniform, 0.8 * speed_limit])
+    durations, traffic = rng.choice([1.0, 2.0, 4.0]), rng.choice(TRAFFICS)
+    common = {"gene_seconds": durations, "traffic": traffic}
+    return Scenario.repaired(drawn, seed=seed, ego_lane=lane, ego_speed=speed, **common)
 
 
 def violations(trace, limits, speed_limit):
@@ -123,32 +116,21 @@ def bounds_of_motion(s, limits, top, own, dt):
     course = heading[:-1] + np.arctan(np.tan(s[1:, :, STEERING]) / 2)
     standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
     jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    turning = speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt
+    turning_of_course = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
+    gain = np.diff(speed, axis=0) - acceleration[1:] * dt
+    along_x = np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt
+    along_y = np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt
     lateral = own["lateral_acceleration"]
     return {
         "acceleration": (acceleration, -own["braking"], own["acceleration"]),
         "jerk": (jerk, -limits.jerk, limits.jerk),
         "speed": (speed, 0.0, top),
-        "turning of the heading": (
-            speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt,
-            -lateral,
-            lateral,
-        ),
-        "turning of the course": (
-            speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt,
-            -lateral,
-            lateral,
-        ),
-        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
-        "motion follows course, x": (
-            np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt,
-            0.0,
-            0.0,
-        ),
-        "motion follows course, y": (
-            np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt,
-            0.0,
-            0.0,
-        ),
+        "turning of the heading": (turning, -lateral, lateral),
+        "turning of the course": (turning_of_course, -lateral, lateral),
+        "speed follows acceleration": (gain, 0.0, 0.0),
+        "motion follows course, x": (along_x, 0.0, 0.0),
+        "motion follows course, y": (along_y, 0.0, 0.0),
     }, course
 
 
@@ -159,13 +141,11 @@ def wrapped(angle):
 
 def own_limits(trace, limits, speed_limit):
     """Return the top speed of each NPC [m/s], and by name each limit that a vehicle may have itself."""
-    kinds = trace.scenario.all_vehicles
+    kinds, own = trace.scenario.all_vehicles, {}
     top = np.array([min(limits.overspeed * speed_limit, kind.top_speed) for kind in kinds])
-    names = ("acceleration", "braking", "lateral_acceleration")
-    return top, {
-        name: np.array([min(getattr(limits, name), getattr(kind, name)) for kind in kinds])
-        for name in names
-    }
+    for name in ("acceleration", "braking", "lateral_acceleration"):
+        own[name] = np.array([min(getattr(limits, name), getattr(kind, name)) for kind in kinds])
+    return top, own
 
 
 def beyond(bounds):
