@@ -153,6 +153,7 @@ def test_simulators(snapshot, monkeypatch):
             "imperfect sight": error_of(simulator.PEDALS.rollout, simulator.SLOWER, blurred),
         }
     )
+    told["a note"] = error_of(run, {"step": simulator.raising}).__notes__
     for name, each in simulator.NO_ACTIONS.items():
         told[f"an action: {name}"] = simulator.error_of_policy(*each).message
     for name, close in simulator.CLOSES.items():

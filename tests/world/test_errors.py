@@ -45,12 +45,6 @@ def wrong_highway(options):
     return Highway(**(options() if callable(options) else options))
 
 
-@table(("options", "field"), WRONG_HIGHWAYS.values())
-def test_wrong_highway_option_is_named(options, field):
-    with refused(field):
-        wrong_highway(options)
-
-
 FREQUENCIES = [(20, 15), (15, 30), (7, 2)]
 
 
@@ -115,10 +109,8 @@ VERY_SLOW = {
 }  # fmt: skip
 
 
-@table(("env_id", "config", "option"), VERY_SLOW.values())
-def test_very_slow_environment_is_refused_at_once(env_id, config, option):
-    with refused(f"config.{option}"):
-        World(env_id, config=config).check()
+def check(env_id, config):
+    World(env_id, config=config).check()
 
 
 @table("config", [
@@ -140,12 +132,6 @@ def test_large_or_unused_options_that_cost_no_time_are_accepted(config):
 
 
 NO_IDS = ["", None, 7, "my_module:highway-v0", ":", "os:system"]
-
-
-@table("env_id", NO_IDS)
-def test_environment_id_with_module_is_refused_before_import(env_id):
-    with refused("env_id"):
-        World(env_id)
 
 
 ENVIRONMENTS = sorted(
@@ -180,7 +166,9 @@ UNKNOWN = {
 }  # fmt: skip
 
 
-@table(("env_id", "meant"), [*UNKNOWN.items(), ("CartPole-v1", ...)])
+@table(
+    ("env_id", "meant"), [*UNKNOWN.items(), ("CartPole-v1", ...), *((each, ...) for each in NO_IDS)]
+)
 def test_environment_that_no_world_accepts_is_refused_with_a_similar_one(env_id, meant):
     with refused("env_id") as caught:
         World(env_id).check()
@@ -224,12 +212,6 @@ def check_config(config):
     World("highway-v0", config=config).rollout(hold(1), lambda: lambda observation: (1,))
 
 
-@table(("config", "field"), WRONG_CONFIGS.values())
-def test_wrong_configuration_is_named(config, field):
-    with refused(field):
-        check_config(config)
-
-
 def test_custom_observations_and_environments_define_own_options(register, monkeypatch):
     class Own(highway_env.envs.HighwayEnv):
         @classmethod
@@ -256,10 +238,24 @@ WRONG_GYMS = {
 }  # fmt: skip
 
 
-@table(("options", "field"), WRONG_GYMS.values())
-def test_wrong_gym_world_option_is_named(options, field):
-    with refused(field):
-        World("highway-fast-v0", **options).check()
+def check_options(options):
+    World("highway-fast-v0", **options).check()
+
+
+TABLES = [
+    (wrong_highway, WRONG_HIGHWAYS),
+    (check, VERY_SLOW),
+    (check_config, WRONG_CONFIGS),
+    (check_options, WRONG_GYMS),
+]
+
+
+@pytest.mark.parametrize(("call", "rows"), TABLES)
+def test_wrong_options_and_very_slow_environments_are_refused_by_name(call, rows):
+    for name, (*given, field) in rows.items():
+        with refused(f"config.{field}" if call is check else field):
+            call(*given)
+            pytest.fail(name)
 
 
 def test_the_callers_configuration_is_neither_changed_nor_followed():

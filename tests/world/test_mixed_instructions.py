@@ -150,25 +150,28 @@ def drive(given, ego=constant_speed, **world):
     return Highway(**({"duration": 20.0} | world)).rollout(given, ego)
 
 
-def test_npcs_start_like_those_of_av_fuzzer():
+@table("ego_lane", [0, 3])
+def test_npcs_start_like_those_of_av_fuzzer_or_in_nearest_cells(ego_lane):
     trace = drive(scenario(chain("keep@22"), chain("keep@22")))
     assert trace.npcs[0, :, LANE].tolist() == [0, 1]
     assert np.all(trace.npcs[0, :, X] - trace.ego[0, X] > 40)
-
-
-@pytest.mark.parametrize("ego_lane", [0, 3])
-def test_missing_lane_makes_npcs_start_in_nearest_cells(ego_lane):
     trace = drive(scenario(*[chain("keep@22")] * 5, ego_lane=ego_lane, ego_speed=20.0))
     places = {tuple(row) for row in trace.npcs[0, :, [X, Y]].T.tolist()}
     assert len(places) == 5
     assert np.all(trace.npcs[0, :, LANE] >= 0)
 
 
-def test_keep_instruction_drives_its_speed_from_first_tick():
-    trace = drive(scenario(chain("keep@10"), ego_speed=22.0))
-    assert trace.npcs[75, 0, SPEED] == pytest.approx(10.0, abs=0.2)
-    assert np.all(trace.npcs[:, 0, LANE] == 0)
-    assert trace.arrivals == ((0,),)
+def test_lane_instructions_count_lanes_from_the_npc_and_its_own_lane_if_there_is_no_other():
+    keeps = drive(scenario(chain("keep@10"), ego_speed=22.0))
+    assert keeps.npcs[75, 0, SPEED] == pytest.approx(10.0, abs=0.2)
+    assert np.all(keeps.npcs[:, 0, LANE] == 0)
+    assert keeps.arrivals == ((0,),)
+    moves = drive(scenario(chain("right@26", "right@26", "right@26", "left@26"), ego_speed=10.0))
+    assert moves.npcs[[0, 74, 149, 224, 299], 0, LANE].tolist() == [0, 1, 2, 3, 2]
+    stays = drive(scenario(chain("left@20", "left@12")))
+    assert np.all(stays.npcs[:, 0, LANE] == 0)
+    assert stays.arrivals == ((0, 75),)
+    assert stays.npcs[149, 0, SPEED] == pytest.approx(12.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("lane", "end"), [("left", 0), ("right", 2)])
@@ -181,24 +184,12 @@ def test_left_and_right_mean_one_lane_from_npc(lane, end):
     assert trace.npcs[tick, 1, Y] == pytest.approx(4.0 * end, abs=0.5)
 
 
-def test_each_gene_counts_lanes_anew():
-    trace = drive(scenario(chain("right@26", "right@26", "right@26", "left@26"), ego_speed=10.0))
-    assert trace.npcs[[0, 74, 149, 224, 299], 0, LANE].tolist() == [0, 1, 2, 3, 2]
-
-
 def test_only_one_of_two_npcs_enters_a_gap():
     beside = chain("keep@20", "right@20"), chain("keep@26", "keep@26"), chain("keep@20", "left@20")
     trace = drive(scenario(*beside, ego_speed=15.0), duration=10.0)
     assert np.ptp(trace.npcs[75, [0, 2], X]) < 0.5, "they should be side by side"
     assert trace.outcome is Outcome.COMPLETED
     assert trace.npcs[-1, [0, 2], LANE].tolist() == [1, 2]
-
-
-def test_npc_without_target_lane_stays_in_its_own():
-    trace = drive(scenario(chain("left@20", "left@12")))
-    assert np.all(trace.npcs[:, 0, LANE] == 0)
-    assert trace.arrivals == ((0, 75),)
-    assert trace.npcs[149, 0, SPEED] == pytest.approx(12.0, abs=0.2)
 
 
 def test_npc_waits_until_the_one_beside_it_has_left_the_lane():

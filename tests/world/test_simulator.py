@@ -281,15 +281,10 @@ def test_take_over_repeats_a_run_in_a_bend_to_the_bit():
     assert same(RING.rollout(scenario, lambda: pytest.fail, decisions=trace.actions), trace)
 
 
-def test_lane_that_ends_is_no_lane_further_on():
-    class Merging(Bicycle):
-        lanes = (((0.0, 0.0), (900.0, 0.0)), ((0.0, 4.0), (400.0, 4.0)))
-
-    road = SimulatorWorld(Merging, duration=20.0).road
+def test_lane_or_road_that_ends_is_none_further_on():
+    lanes = (((0.0, 0.0), (900.0, 0.0)), ((0.0, 4.0), (400.0, 4.0)))
+    road = SimulatorWorld(type("Merging", (Bicycle,), {"lanes": lanes}), duration=20.0).road
     assert (road.lane_count, road.has_lane(1, 300.0), road.has_lane(1, 500.0)) == (2, True, False)
-
-
-def test_short_straight_road_ends_runs_where_it_ends():
     short = SimulatorWorld(type("Short", (Bicycle,), {"lanes": 2, "length": 400.0}))
     scenario = Scenario(npcs=BEHIND, ego_lane=0, ego_speed=22.0, gene_seconds=30.0)
     trace = short.rollout(scenario, steady)
@@ -357,13 +352,6 @@ def test_rates_are_whole_numbers_wherever_they_are_whole(members, rates):
     found = world.physics_hz, world.rules.ads_hz
     assert found == rates
     assert [type(each) is int for each in found] == [type(each) is int for each in rates]
-
-
-def test_hz_of_a_simulator_that_states_dt_follows_from_it():
-    class Stating(Simulator):
-        dt = 0.04
-
-    assert (Simulator.hz, Stating.hz) == (15, 25.0)
 
 
 STRAIGHT = [[(x, 4.0 * lane) for x in range(0, 900, 100)] for lane in range(3)]
@@ -544,12 +532,6 @@ def test_a_simulator_may_have_names_of_its_own_and_bases_whose_names_others_read
     SimulatorWorld(type("Connected", (Client, Bicycle), {}), duration=4.0).check()
 
 
-def test_exception_of_a_simulator_names_its_method_and_its_tick():
-    with pytest.raises(KeyError, match="wheel") as error:
-        broken(step=raising).rollout(scenarios()[0], swerving)
-    assert error.value.__notes__ == ["raised by Broken.step, tick 1"]
-
-
 def stuck():
     def wait(self, controls):
         while True:
@@ -564,28 +546,14 @@ def test_method_that_does_not_return_is_ended(monkeypatch):
         stuck().rollout(scenarios()[0], swerving)
 
 
-@table(("simulator", "since", "tick"), [("Bicycle", 1.0, 18), ("Pedals", -1.0, 0)])
-def test_decision_that_hangs_ends_the_run_and_not_the_simulator(simulator, since, tick):
-    def hangs(seen):
-        while getattr(seen, "time", 0.0) > since:
-            pass
-        return 0.0, 0.0
-
-    world = SimulatorWorld(globals()[simulator], hang_limit=0.1)
-    trace = world.rollout(scenarios()[0], lambda: hangs)
-    assert (trace.outcome, trace.error.tick) == (Outcome.HANG, tick)
-
-
-@table("ads", [IDMVehicle, lambda env: None])
-def test_ads_of_another_kind_is_refused(ads):
-    with pytest.raises(AdsFactoryError):
-        TOY.rollout(scenarios()[0], ads)
-
-
-@table("given", [Bicycle(), 3, "toy"])
-def test_object_instead_of_a_class_is_refused(given):
-    with refused("simulator"):
-        SimulatorWorld(given)
+def test_objects_and_policies_of_another_kind_are_refused():
+    for given in (Bicycle(), 3, "toy"):
+        with refused("simulator"):
+            SimulatorWorld(given)
+    blurred = Perception(Following, latency=0.5)
+    for world, ads in ((TOY, IDMVehicle), (TOY, lambda env: None), (PEDALS, blurred)):
+        with pytest.raises(AdsFactoryError):
+            world.rollout(scenarios()[0], ads)
 
 
 # Objects, processes and files.
@@ -652,13 +620,15 @@ def test_close_has_the_ten_seconds_that_its_page_promises(monkeypatch):
 
 
 @pytest.mark.parametrize("action", ["error", "ignore"])
-def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
+def test_exception_of_a_simulator_has_its_method_and_tick_and_no_close_that_fails_hides_it(
+    recwarn, action
+):
     failing = type("Failing", (Bicycle,), {"step": raising, "close": raising})
     with warnings.catch_warnings():
         warnings.simplefilter(action)
         with pytest.raises(KeyError, match="wheel") as caught:
             SimulatorWorld(failing, duration=1.0).rollout(scenarios()[0], Slowing)
-    assert caught.value.__notes__ == ["raised by Failing.step, tick 1"]
+    assert caught.value.__notes__[0].endswith(" Failing.step, tick 1")
     assert caught.value.__context__ is None
     assert len(recwarn) == (action == "error")
 
@@ -734,10 +704,11 @@ class Packaged(Bicycle):
     packages = ("pytest",)
 
 
-def test_the_packages_of_a_simulator_are_among_the_versions():
+def test_the_packages_of_a_simulator_are_among_the_versions_and_its_hz_follows_from_dt():
     assert SimulatorWorld(Bicycle).packages == ()
     assert SimulatorWorld(partial(Packaged)).packages == ("pytest",)
     assert installed_versions(SimulatorWorld(Packaged).packages)["pytest"] == pytest.__version__
+    assert (Simulator.hz, type("Stating", (Simulator,), {"dt": 0.04}).hz) == (15, 25.0)
 
 
 # Policies with observations and actions of the simulator's own.
@@ -895,9 +866,16 @@ def test_native_simulator_that_is_wrong_is_no_error_of_the_policy():
         broken(Pedals, observe=raising).rollout(SLOWER, Following)
 
 
-def test_policy_of_a_native_simulator_has_no_imperfect_sight():
-    with pytest.raises(AdsFactoryError):
-        PEDALS.rollout(SLOWER, Perception(Following, latency=0.5))
+@table(("simulator", "since", "tick"), [(Bicycle, 1.0, 18), (Pedals, -1.0, 0)])
+def test_decision_that_hangs_ends_the_run_and_not_the_simulator(simulator, since, tick):
+    def hangs(seen):
+        while getattr(seen, "time", 0.0) > since:
+            pass
+        return 0.0, 0.0
+
+    world = SimulatorWorld(simulator, hang_limit=0.1)
+    trace = world.rollout(scenarios()[0], lambda: hangs)
+    assert (trace.outcome, trace.error.tick) == (Outcome.HANG, tick)
 
 
 @table(("simulator", "can_hide"), [(Pedals, True), (Blind, False)])

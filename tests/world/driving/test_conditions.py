@@ -176,7 +176,7 @@ def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module
     here = evaluated(module, FREE, (30.0, 20.0, 40.0))
     there = evaluated(module, FREE, (30.0, 8.0, 40.0))
     rows = rows_of(here, parting(here, there, "with NPC 0 nearer", is_other=True))
-    assert rows[0].endswith("; with NPC 0 nearer True")
+    assert "with NPC 0 nearer" in rows[0]
     assert facts(rows) == [
         (6, "gap = 20", False), (7, "gaps = tuple of 3", True), (5, "gap = 40", False), (3, "len(gaps) = 3", False)
     ]  # fmt: skip
@@ -185,7 +185,7 @@ def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module
     # conditions with other values are those of an answer that stays the same
     rows = rows_of(here, parting(here, there, "with NPC 0 further away", is_other=False))[:2]
     assert facts(rows) == [(6, "gap = 20", False), (5, "gap = 20", False)]
-    assert all(row.endswith("; also with NPC 0 further away") for row in rows)
+    assert all("NPC 0 further away" in row for row in rows)
 
 
 def whom_of(module, source, seen, nudges):

@@ -238,13 +238,15 @@ def error_of(given, world=Highway()):  # noqa: B008  (a frozen value)
     return world.rollout(BEHIND, always(LaneCommand(**given))).error
 
 
-@table("given", BAD.values())
-def test_empty_drive_or_missing_lane_is_bad_action(given):
-    assert error_of(given).kind == "BadAction"
+def error_of_missing_lane():
+    return driven_on("merge-v0", lambda seen: LaneCommand(lane=2, speed=20.0)).error
 
 
-def test_policy_of_an_environment_cannot_answer_with_drive():
-    assert error_of(IN_LANE, World("highway-v0")).kind == "BadAction"
+def test_empty_drive_or_missing_lane_or_one_in_an_environment_is_bad_action():
+    errors = [*map(error_of, BAD.values()), error_of(IN_LANE, World("highway-v0"))]
+    assert {error.kind for error in errors} == {"BadAction"}
+    assert World("merge-v0").lanes == 3
+    assert error_of_missing_lane().kind == "BadAction", "at that moment"
 
 
 def doubt_at(speed):
@@ -286,12 +288,3 @@ def test_another_lane_of_a_bend_is_driven_to():
     assert driven_on("racetrack-v0", decide, 9.0).outcome is Outcome.COMPLETED
     kept = [abs(now.ego.y - now.lane_centres[now.time < 4]) for now in seen if now.time % 4 > 3.9]
     assert max(kept) < 0.4
-
-
-def error_of_missing_lane():
-    return driven_on("merge-v0", lambda seen: LaneCommand(lane=2, speed=20.0)).error
-
-
-def test_lane_missing_at_the_moment_is_bad_action():
-    assert World("merge-v0").lanes == 3
-    assert error_of_missing_lane().kind == "BadAction"

@@ -155,11 +155,16 @@ def hidden():
     return pafot.Perception(Watching, noise={"speed": 1.0})()
 
 
-@table("world", [pafot.Highway(), pafot.World("highway-v0"), pafot.World("merge-v0")])
-@table("factory", [hidden, pafot.Perception(hidden, latency=0.2)])
-def test_hidden_perception_inside_a_factory_is_refused(world, factory):
-    with pytest.raises(AdsFactoryError):
-        world.rollout(SCENARIO, factory)
+GYM = pafot.World("highway-v0", {"action": {"type": "DiscreteMetaAction"}})
+POLICY = pafot.Perception(lambda: lambda observation: 1, latency=0.2)
+
+
+@table("world", [pafot.Highway(), GYM, pafot.World("merge-v0")])
+def test_hidden_perception_and_one_for_the_observations_of_an_environment_are_refused(world):
+    runs = [(world.rollout, hidden), (world.rollout, pafot.Perception(hidden, latency=0.2))]
+    for rollout, factory in (*runs, (GYM.rollout, POLICY), (GYM.rollout_in_gym, POLICY)):
+        with pytest.raises(AdsFactoryError):
+            rollout(SCENARIO, factory)
 
 
 def test_functools_wrapper_reveals_the_perception_it_wraps():
@@ -171,12 +176,3 @@ def test_functools_wrapper_reveals_the_perception_it_wraps():
 
     assert sight_of(wrapper) == seeing.sight
     assert PLANNERS["loop"](SCENARIO, wrapper).error is None
-
-
-GYM = pafot.World("highway-v0", {"action": {"type": "DiscreteMetaAction"}})
-
-
-@table("rollout", [GYM.rollout, GYM.rollout_in_gym])
-def test_policy_for_the_observations_of_an_environment_is_refused(rollout):
-    with pytest.raises(AdsFactoryError):
-        rollout(SCENARIO, pafot.Perception(lambda: lambda observation: 1, latency=0.2))

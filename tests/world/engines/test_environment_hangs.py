@@ -151,20 +151,12 @@ def test_step_that_does_not_return_ends_the_run_as_a_hang(clock, wrapper, driven
     assert "pytest_pafot" not in trace.error.traceback
 
 
-@pytest.mark.parametrize(
-    ("wrapper", "name"), [(Seeing, "Seeing.observation"), (Planting, "Planting.step")]
-)
-def test_method_of_a_wrapper_is_named_and_none_of_a_library(clock, wrapper, name):
-    assert_hangs(by_policy(wrapped(wrapper)), name)
-
-
 @drivers
-def test_step_of_an_environment_that_does_not_return_is_named(clock, driven, register):
+def test_innermost_method_of_the_user_is_named_and_none_of_a_library(clock, driven, register):
+    for kind, name in ((Seeing, "Seeing.observation"), (Planting, "Planting.step")):
+        assert_hangs(by_policy(wrapped(kind)), name)
     register("stepping-v0", entry_point=Stepping)
     assert_hangs(driven(World("stepping-v0", duration=10.0)), "Stepping.step")
-
-
-def test_innermost_method_of_the_user_is_named(clock, register):
     register("simulating-v0", entry_point=Simulating)
     world = World("simulating-v0", duration=10.0)
     for trace in (by_policy(world), world.rollout_in_gym(SCENARIO, idle)):

@@ -73,7 +73,9 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
     actions = [np.full(space.shape, 0.01, np.float32)]
     if hasattr(space, "n"):
         actions = [*range(space.n), 1]
-    for seed, ads in enumerate([*egos * (env_id != "lane-keeping-v0"), swerves(actions)]):
+    if env_id == "lane-keeping-v0":
+        egos = []
+    for seed, ads in enumerate([*egos, swerves(actions)]):
         scenario = sample(space_of(world), np.random.default_rng(seed))
         with c_library():
             ours, stocks = world.rollout(scenario, ads), world.rollout_in_gym(scenario, ads)
