@@ -76,15 +76,11 @@ def placed(kind, road, state):
 def populate(env, ego_class, states, objects=()):
     """Put vehicles of three classes on an environment's road, the ego somewhere among them, and objects."""
     ego = placed(ego_class, env.road, states[0])
-    others = [
-        placed((StockVehicle, IDMVehicle, MDPVehicle)[k % 3], env.road, state)
-        for k, state in enumerate(states[1:])
-    ]
+    kinds, things = (StockVehicle, IDMVehicle, MDPVehicle), (Obstacle, Landmark)
+    others = [placed(kinds[k % 3], env.road, state) for k, state in enumerate(states[1:])]
     env.road.vehicles = [*others[:2], ego, *others[2:]]
     env.road.vehicles[-1].LENGTH = 12.0
-    env.road.objects = [
-        placed((Obstacle, Landmark)[k % 2], env.road, state) for k, state in enumerate(objects)
-    ]
+    env.road.objects = [placed(things[k % 2], env.road, each) for k, each in enumerate(objects)]
     env.controlled_vehicles = [ego]
 
 
@@ -107,44 +103,28 @@ def assert_the_same_is_observed(env, config, observers):
                 fast = make(env)
                 env.observation_type.observe = None  # must not be called
                 received = [fast() for _ in range(2)]
-            assert [each.tobytes() for each in received] == [each.tobytes() for each in expected]
-            assert [(each.dtype, each.shape) for each in received] == [
-                (each.dtype, each.shape) for each in expected
-            ]
-            assert vars(env.observation_type).get("features_range") == vars(stock).get(
-                "features_range"
-            )
+            for own, each in zip(received, expected, strict=True):
+                assert own.tobytes() == each.tobytes()
+                assert (own.dtype, own.shape) == (each.dtype, each.shape)
+            ranges = [vars(each).get("features_range") for each in (env.observation_type, stock)]
+            assert ranges[0] == ranges[1]
 
 
-EVERY_ROAD = pytest.mark.parametrize(
-    "env_id",
-    mostly_oracle(
-        ("highway-v0", *ROADS),
-        "highway-v0",
-        "merge-v1",
-        "racetrack-v1",
-        "intersection-v1",
-        "lane-keeping-v0",
-    ),
-)
-several = st.lists(vehicles, min_size=1, max_size=8)
+ALWAYS = "highway-v0", "merge-v1", "racetrack-v1", "intersection-v1", "lane-keeping-v0"
+several, few = st.lists(vehicles, min_size=1, max_size=8), st.lists(vehicles, max_size=2)
+kinds = st.sampled_from([StockVehicle, MDPVehicle, Vehicle])
 
 
-@EVERY_ROAD
+@pytest.mark.parametrize("env_id", mostly_oracle(("highway-v0", *ROADS), *ALWAYS))
 @settings(max_examples=6)
-@given(
-    config=tables("Kinematics"),
-    states=several,
-    objects=st.lists(vehicles, max_size=2),
-    ego=st.sampled_from([StockVehicle, MDPVehicle, Vehicle]),
-)
+@given(config=tables("Kinematics"), states=several, objects=few, ego=kinds)
 def test_tables_equal_those_of_highway_env(env_id, observers, config, states, objects, ego):
     populate(environment(env_id), ego, states, objects)
     assert_the_same_is_observed(environment(env_id), config, observers)
 
 
 @settings(max_examples=15)
-@given(config=tables("ExitObservation"), states=several, objects=st.lists(vehicles, max_size=2))
+@given(config=tables("ExitObservation"), states=several, objects=few)
 def test_tables_with_an_exit_equal_those_of_highway_env(observers, config, states, objects):
     populate(environment("exit-v1"), MDPVehicle, states, objects)
     assert_the_same_is_observed(environment("exit-v1"), config, observers)
@@ -153,17 +133,15 @@ def test_tables_with_an_exit_equal_those_of_highway_env(observers, config, state
 @pytest.mark.parametrize("feature", ["cos_d", "sin_d"])
 def test_destination_is_seen_up_to_the_end_of_the_route(observers, feature):
     """Half a metre before it and 0.3 m to the side of it, its direction is still known."""
-    env = environment("intersection-v1")
-    index = ("o0", "ir0", 0)
+    env, index = environment("intersection-v1"), ("o0", "ir0", 0)
     lane = env.road.network.get_lane(index)
     ego = MDPVehicle(env.road, lane.position(lane.length - 0.4, 0.3), lane.heading_at(0.0), 8.0)
     ego.route = [index]
     env.road.vehicles = env.controlled_vehicles = [ego]
-    assert_the_same_is_observed(
-        env, {"type": "Kinematics", "features": [feature], "absolute": True}, observers
-    )
+    config = {"type": "Kinematics", "features": [feature]}
+    assert_the_same_is_observed(env, config | {"absolute": True}, observers)
     x, y = (lane.position(lane.length, 0.0) - ego.position) / 0.5
-    env.observation_type = observation_factory(env, {"type": "Kinematics", "features": [feature]})
+    env.observation_type = observation_factory(env, config)
     assert observer(env)()[0, 0] == pytest.approx(x if feature == "cos_d" else y, abs=1e-6)
 
 
@@ -172,31 +150,32 @@ def env():
     return environment("highway-v0")
 
 
-def test_equally_distant_vehicles_come_in_road_order(env):
+def observe(env, *others, **config):
+    """Return what an ego observes of other vehicles, as this package and as highway-env do it."""
     ego = StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0)
-    env.road.vehicles = [
-        ego,
-        *(StockVehicle(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0)),
-    ]
-    env.controlled_vehicles = [ego]
-    env.observation_type = observation_factory(env, {"type": "Kinematics", "vehicles_count": 3})
-    assert observer(env)().tobytes() == env.observation_type.observe().tobytes()
+    env.road.vehicles, env.controlled_vehicles = [ego, *others], [ego]
+    env.observation_type = observation_factory(env, {"type": "Kinematics", **config})
+    fast = observer(env)
+    assert isinstance(fast, FastTable)
+    return fast().tobytes(), env.observation_type.observe().tobytes()
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        {"type": "LidarObservation"},
-        {"type": "Kinematics", "order": "shuffled"},
-        {"type": "Kinematics", "features": ["x", "x"]},
-        {"type": "Kinematics", "vehicles_count": 0},
-        {"type": "OccupancyGrid"},
-        {"type": "TimeToCollision"},
-        {"type": "KinematicsGoal", "features": ["x", "y"], "scales": [1, 1], "normalize": False},
-        {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
-    ],
-    ids=lambda config: "-".join(map(str, config.values()))[:40],
-)
+def test_equally_distant_vehicles_come_in_road_order(env):
+    others = [StockVehicle(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0)]
+    own, stock = observe(env, *others, vehicles_count=3)
+    assert own == stock
+
+
+@pytest.mark.parametrize("config", [
+    {"type": "LidarObservation"},
+    {"type": "Kinematics", "order": "shuffled"},
+    {"type": "Kinematics", "features": ["x", "x"]},
+    {"type": "Kinematics", "vehicles_count": 0},
+    {"type": "OccupancyGrid"},
+    {"type": "TimeToCollision"},
+    {"type": "KinematicsGoal", "features": ["x", "y"], "scales": [1, 1], "normalize": False},
+    {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
+])  # fmt: skip
 def test_every_other_observation_is_left_to_highway_env(env, config):
     env.observation_type = observation_factory(env, config)
     assert observer(env) == env.observation_type.observe
@@ -208,30 +187,17 @@ class Ghost(Vehicle):
 
 
 def test_vehicle_that_describes_itself_is_left_to_highway_env(env):
-    env.road.vehicles = [
-        StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0),
-        Ghost(env.road, (320.0, 4.0)),
-    ]
-    env.controlled_vehicles = env.road.vehicles[:1]
-    env.observation_type = observation_factory(env, {"type": "Kinematics"})
-    fast = observer(env)
-    assert isinstance(fast, FastTable)
-    assert fast().tobytes() == env.observation_type.observe().tobytes()
-
-
-SCENARIO = Scenario(
-    npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]], gene_seconds=4.0
-)
+    own, stock = observe(env, Ghost(env.road, (320.0, 4.0)))
+    assert own == stock
 
 
 def test_policy_may_change_its_own_observation():
-    world = World("highway-v0")
-    seen = []
+    seen, npcs = [], [[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]]
 
     def policy(observation):
         seen.append(observation.copy())
         observation[:] = np.nan
         return 1
 
-    world.rollout(SCENARIO, lambda: policy)
+    World("highway-v0").rollout(Scenario(npcs=npcs, gene_seconds=4.0), lambda: policy)
     assert np.isfinite(seen).all()

@@ -29,33 +29,23 @@ controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_siz
 
 def parallel(lanes=3, *, x=0.0, y=0.0, width=4.0, length=1000.0):
     network = RoadNetwork()
-    for index in range(lanes):
-        lane_y = y + width * index
-        network.add_lane(
-            "a", "b", StraightLane([x, lane_y], [x + length, lane_y], width=width, speed_limit=25)
-        )
+    for number in range(lanes):
+        ends = [x, y + width * number], [x + length, y + width * number]
+        network.add_lane("a", "b", StraightLane(*ends, width=width, speed_limit=25))
     return network
 
 
-NETWORKS = [
-    RoadNetwork.straight_road_network(4),
-    parallel(),
-    parallel(5, x=100.0, y=-20.0, width=3.5),
-    parallel(1),
-]
+OTHERS = parallel(), parallel(5, x=100.0, y=-20.0, width=3.5), parallel(1)
+NETWORKS = [RoadNetwork.straight_road_network(4), *OTHERS]
+places_y = st.floats(-40, 40) | st.sampled_from([2.0, 6.0, -18.25])
+headings = st.none() | st.floats(-10, 10)
 
 
-@given(
-    st.sampled_from(NETWORKS),
-    st.floats(-300, 12_000),
-    st.one_of(st.floats(-40, 40), st.sampled_from([2.0, 6.0, -18.25])),
-    st.none() | st.floats(-10, 10),
-)
+@given(st.sampled_from(NETWORKS), st.floats(-300, 12_000), places_y, headings)
 def test_the_closest_lane_is_highway_envs(network, x, y, heading):
     position = np.array([x, y])
-    assert SearchedLanes(network).get_closest_lane_index(
-        position, heading
-    ) == network.get_closest_lane_index(position, heading)
+    closest = SearchedLanes(network).get_closest_lane_index(position, heading)
+    assert closest == network.get_closest_lane_index(position, heading)
 
 
 class Shifted(StraightLane):
@@ -136,11 +126,9 @@ def crossroads(kind, seed, ego_class):
 
 @pytest.mark.parametrize("ego_class", mostly_oracle([IDMVehicle, MDPVehicle], MDPVehicle))
 def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
-    told = 0
+    told, kinds = 0, (RegulatedRoad, EgosRegulatedRoad)
     for seed in range(4):
-        stock, own = (
-            crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad)
-        )
+        stock, own = (crossroads(kind, seed, ego_class) for kind in kinds)
         for _ in range(45):
             for road in (stock, own):
                 road.vehicles[0].act()
@@ -156,47 +144,32 @@ def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
 
 
 def test_own_network_has_lanes_of_highway_env():
-    def described(network):
-        lanes = network.lanes_list()
-        return [
-            (e.start.tolist(), e.end.tolist(), e.width, e.speed_limit, e.line_types) for e in lanes
-        ]
-
     stock = RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8)
-    assert described(straight_network(4, 900.0, 4.0, 26.8)) == described(stock)
+    pairs = straight_network(4, 900.0, 4.0, 26.8).lanes_list(), stock.lanes_list()
+    for own, lane in zip(*pairs, strict=True):
+        for name in ("start", "end", "width", "speed_limit", "line_types"):
+            assert np.array_equal(getattr(own, name), getattr(lane, name))
 
 
-def curved():
+def of_lanes(*lanes):
     network = RoadNetwork()
-    network.add_lane("a", "b", SineLane([0, 0], [100, 0], 2, 0.1, 0, speed_limit=20))
+    for lane in lanes:
+        network.add_lane("a", "b", lane)
     return network
 
 
-def unequal():
-    network = parallel(2)
-    network.add_lane("a", "b", StraightLane([0, 8], [500, 8], speed_limit=25))
-    return network
+EQUAL = [StraightLane([0, y], [500, y], speed_limit=25) for y in (0.0, 4.0, 8.0)]
+UNEQUAL = StraightLane([0, 4.0], [400, 4.0], speed_limit=25)
+CURVED = SineLane([0, 0], [100, 0], 2, 0.1, 0, speed_limit=20)
+TURNED = RoadNetwork.straight_road_network(3, angle=0.3)
 
 
-def from_the_right():
-    network = RoadNetwork()
-    for y in (4.0, 0.0):
-        network.add_lane("a", "b", StraightLane([0, y], [500, y], speed_limit=25))
-    return network
-
-
-@table(
-    "network",
-    [
-        RoadNetwork(),
-        curved(),
-        unequal(),
-        RoadNetwork.straight_road_network(3, angle=0.3),
-        from_the_right(),
-    ],
-)
+@table("network", [
+    of_lanes(), of_lanes(CURVED), of_lanes(EQUAL[0], UNEQUAL), TURNED, of_lanes(EQUAL[1], EQUAL[0]),
+])  # fmt: skip
 def test_roads_not_straight_along_x_are_recognised(network):
     assert straight_road(network) is None
+    assert straight_road(of_lanes(*EQUAL)) is not None
 
 
 def test_lane_off_the_road_is_minus_one():
