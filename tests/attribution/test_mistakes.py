@@ -1,10 +1,15 @@
-"""The ego's mistake follows from the other's place when the ego had to take it into account."""
+"""The ego's mistake follows from the other's place in time, and the manoeuvre before an event from changed lanes."""
 
 from itertools import chain
 from typing import get_args
 
-from pytest_pafot.attribution.mistakes import BY_FAULT, mistake
+import numpy as np
+
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario
+from pytest_pafot.attribution.mistakes import BY_FAULT, manoeuvre_before, mistake
 from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, rss_rule
+from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.situations import LEFT, OWN, SITUATIONS
 from tests.helpers.tables import table
@@ -12,23 +17,17 @@ from tests.helpers.traces import LENGTH, trace_of, vehicle
 
 TRACES = {each.name: each.trace for each in chain(*SITUATIONS.values())}
 MADE = {
-    "slow-leader-ignored": "kept-no-distance",
-    "ramp-npc-merges-35-m-ahead": "kept-no-distance",
-    "ego-enters-behind-a-slower-one": "kept-no-distance",
-    "ego-overtakes-into-oncoming-traffic": "kept-no-distance",
-    "ego-swipes": "moved-into-side",
-    "ego-drifts": "moved-into-side",
-    "bend-ego-runs-wide": "moved-into-side",
-    "both-enter-side-by-side": "moved-into-side",
-    "lane-change-1-m-ahead": "moved-in-front",
-    "lane-change-28-m-ahead": "moved-in-front",
-}
+    "kept-no-distance": ["slow-leader-ignored", "ramp-npc-merges-35-m-ahead", "ego-enters-behind-a-slower-one",
+                         "ego-overtakes-into-oncoming-traffic"],
+    "moved-into-side": ["ego-swipes", "ego-drifts", "bend-ego-runs-wide", "both-enter-side-by-side"],
+    "moved-in-front": ["lane-change-1-m-ahead", "lane-change-28-m-ahead"],
+}  # fmt: skip
 
 
-@table("name", MADE)
-def test_each_situation_shows_its_mistake(name):
+@table(("made", "name"), [(made, name) for made, names in MADE.items() for name in names])
+def test_each_situation_shows_its_mistake(made, name):
     trace = TRACES[name]()
-    assert mistake(trace, rss_rule(trace)) == MADE[name]
+    assert mistake(trace, rss_rule(trace)) == made
 
 
 def test_mistake_exists_exactly_where_ego_has_fault():
@@ -54,3 +53,37 @@ def test_npc_within_two_metres_ahead_counts_as_alongside(gap, expected):
     ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
     verdict = Attribution(responsibility="ego", tick=0, time=0.0, fault="entered-lane")
     assert mistake(trace_of(ego, npc, outcome=Outcome.COLLISION), verdict) == expected
+
+
+STILL = vehicle(0.0, 4.0, speed=20.0, ticks=150)
+
+
+@table(("displacement", "until", "expected"), [
+    (4.0, 150, "lane-change"), (4.0, 100, "lane-change"), (4.0, 80, "lane-keeping"),
+    (0.9, 150, "lane-keeping"), (-0.9, 150, "lane-keeping"), (1.1, 150, "lane-change"),
+])  # fmt: skip
+def test_lane_change_counts_for_less_than_four_seconds_and_swaying_is_none(
+    displacement, until, expected
+):
+    """The vehicle moves to the right at an even pace for two seconds and then keeps its lane."""
+    states = vehicle(30.0, 4.0, speed=20.0, ticks=150)
+    states[:, 1] += displacement * np.clip((np.arange(151) - until + 30) / 30, 0, 1)
+    trace = trace_of(STILL, states)
+    assert manoeuvre_before(trace, 1, 150) == expected
+    assert manoeuvre_before(trace, 0, 150) == manoeuvre_before(trace, 1, 0) == "lane-keeping"
+
+
+def expected_of(*instructions):
+    """Return what is expected of a collision with an NPC that has these instructions."""
+    scenario = Scenario(npcs=(tuple(PositionInstruction(*each) for each in instructions),))
+    run = Run(Highway().rollout(scenario, lambda: lambda observation: (0.0, 0.0)))
+    assert run.collision is not None
+    failure = Failure(kind="AssertionError", assertion="assert not run.collision")
+    return Expect.from_run(run, failure)
+
+
+def test_cut_in_and_braking_leader_are_distinguished():
+    leader, cut_in = expected_of((2, 5.0)), expected_of((1, 22.0), (2, 5.0))
+    assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
+    assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
+    assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)

@@ -147,6 +147,7 @@ def test_text_and_id_are_the_same_on_every_machine():
     scenario = Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7)
     assert scenario.canonical() == "[[[[1,25.0],[2,8.0]]],7,1,22.0,10.0]"
     assert (scenario.id, str(scenario)) == ("4240d6", "<Scenario 4240d6: 1@25 2@8>")
+    assert str(Scenario(npcs=[[one(2, 8.5)], [one(6, 0)]])).endswith(": 2@8.5; 6@0>")
     a, b = (Scenario(npcs=[[one(2, zero)]], ego_speed=zero) for zero in (0.0, -0.0))
     assert a == b
     assert a.canonical() == b.canonical()

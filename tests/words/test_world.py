@@ -8,7 +8,9 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, LaneCommand, Perception, Run, Scenario, SimulatorWorld, World
-from pytest_pafot.findings.finding import ads_failure, disagreement, unhandled
+from pytest_pafot.findings.decisions import Moment
+from pytest_pafot.findings.finding import Expect, ads_failure, disagreement, unhandled
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.trace import first_difference
 from pytest_pafot.searches.harness import ads_text
@@ -32,6 +34,7 @@ from tests.world.conftest import register  # noqa: F401
 from tests.world.driving import test_ads as ads
 from tests.world.driving import test_lane_command as lane_command
 from tests.world.driving import test_perception as perception
+from tests.world.engines import test_egos as egos
 from tests.world.engines import test_environment_hangs as hangs
 from tests.world.engines import test_gym_replay as gym_replay
 from tests.world.engines import test_own_ends as own_ends
@@ -153,6 +156,12 @@ def test_simulators(snapshot, monkeypatch):
             "imperfect sight": error_of(simulator.PEDALS.rollout, simulator.SLOWER, blurred),
         }
     )
+    told["a tick too much"] = error_of(egos.overrun)
+    moment = Moment(time=4.2, npc=0, seen="6.7 m ahead", action="[0, 0.67]", hidden="[0, -0.5]")
+    told["a decision"] = [
+        str(moment),
+        str(replace(moment, seen="", was="6.7 m ahead", hidden=None)),
+    ]
     told["a note"] = error_of(run, {"step": simulator.raising}).__notes__
     for name, each in simulator.NO_ACTIONS.items():
         told[f"an action: {name}"] = simulator.error_of_policy(*each).message
@@ -227,6 +236,8 @@ def test_ends_of_runs(snapshot, mine, ending):  # noqa: F811
         "with other vehicles": Highway(ego="truck").rollout(vehicle_types.VAN_AHEAD, keeping),
     }
     told = {name: Run(trace).explain() for name, trace in runs.items()}
+    failure = Failure(kind="AssertionError", assertion="not run.collision")
+    told["at an object, in brief"] = Expect.from_run(Run(runs["at an object"]), failure).brief
     told["after the saved failure"] = unhandled(*own_ends.drifted(ending))
     assert told == snapshot
 

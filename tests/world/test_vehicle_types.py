@@ -281,3 +281,4 @@ def test_picture_names_the_vehicles():
     trace = Highway(ego=TRUCK).rollout(VAN_AHEAD, keeping)
     vehicles = [(each.name, each.length) for each in view_of(trace).vehicles]
     assert vehicles == [("ego, truck", 12.0), ("NPC 0, van", 6.5)]
+    assert str(VAN_AHEAD).endswith(": van 2@10 2@10>")

@@ -180,12 +180,18 @@ def test_reference_drivers_get_through_as_planners(world, drivers):
     assert drivers == [PlannerDriver]
 
 
-def test_record_has_no_room_for_ticks_beyond_the_run():
-    """The kernel writes without looking at each index, so one look must keep it within its buffer."""
+def overrun():
+    """Record a tick too much.
+
+    The kernel writes without looking at each index, so one look must keep it within its buffer.
+    """
     world, npcs = Highway(), [[PositionInstruction(2, 20.0)]]
     scenario = Scenario.repaired(npcs, seed=1, ego_lane=1, ego_speed=20.0)
     run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
-    for _ in range(world.rules.ticks(scenario)):
+    for _ in range(world.rules.ticks(scenario) + 1):
         run.loop.moved()
+
+
+def test_record_has_no_room_for_ticks_beyond_the_run():
     with pytest.raises(IndexError):
-        run.loop.moved()
+        overrun()
