@@ -14,12 +14,11 @@ import numpy as np
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import Body, Places
 from pytest_pafot.world.roads.network import STEP, NetworkRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.roads.road import StraightRoad

@@ -1,7 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.lanes cimport Track
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Body, Track
 from pytest_pafot.world.kernel.director cimport BaseDirector, NetworkDirector, Npc
 from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, speed_for_braking
 

@@ -1,7 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.lanes cimport Bends
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Bends, Body
 from pytest_pafot.world.kernel.driver cimport (
     NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_for_braking,
     stopping_room,

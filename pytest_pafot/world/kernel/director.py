@@ -22,7 +22,6 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
     clear_to_enter,
@@ -33,7 +32,7 @@ from pytest_pafot.world.kernel.driver import (
     speed_for_braking,
     stopping_room,
 )
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
+from pytest_pafot.world.kernel.lanes import Bends, Body, Lanes
 from pytest_pafot.world.limits import NpcLimits
 
 # lateral distance from a cell's centre within which an NPC has arrived [m]; along the lane, it is half the NPC's length

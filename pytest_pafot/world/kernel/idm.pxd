@@ -1,13 +1,10 @@
 cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.action cimport lane_steering, not_zero
-from pytest_pafot.world.kernel.lanes cimport Bends
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Bends, Body, Lanes, Places
 from pytest_pafot.world.kernel.crossing cimport CrossingNpc
 from pytest_pafot.world.kernel.driver cimport clamp
 from pytest_pafot.world.kernel.lane_network cimport Network
-from pytest_pafot.world.kernel.lanes cimport Lanes
-from pytest_pafot.world.kernel.places cimport Places
 
 cdef double ON_LANE, LANE_ENDS, PURSUIT, NOWHERE, APART, LONGER, NARROWER
 cdef int MOMENTS

@@ -17,12 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pytest_pafot.world.kernel.action import lane_steering, not_zero
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.driver import clamp
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import Bends, Body, Lanes, Places
 
 # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
 ON_LANE = 1.0

@@ -1,15 +1,123 @@
-"""The geometry of lanes for compiled code: parallel straight lanes, lanes along a curved path, and a single path."""
+"""Vehicles as moving boxes, the lanes on which they drive, and the positions of all vehicles of a run.
+
+Vehicles move according to highway-env's kinematic bicycle model. highway-env's own collision check is switched off,
+because it also reports predicted contacts and pushes vehicles apart.
+"""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.model.crossings import NOT_ON_WAY
+from pytest_pafot.model.trace import Outcome, Side
+from pytest_pafot.world.limits import TOP_SPEED
 
+# values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
+COLUMNS = 7
+ROW_LENGTH = COLUMNS  # unlike COLUMNS, it is a C number in compiled code
+# both forwards and backwards [m/s]; unlike TOP_SPEED, it is a C number in compiled code
+MAX_SPEED = TOP_SPEED
 # distance from a lane line below which rounding matters, so that all lanes are compared [m]
 ALMOST = 1e-6
+STEP = 0.5  # distance between neighbouring points of a line [m]
+HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
+ON_LANE = 1e-6  # rounding tolerance at the edges of a lane [m]
+NOWHERE = float("nan")
+TRACK_COLUMNS = 5  # values per vehicle and tick in Trace.track
+
+
+class Box:
+    """A rectangle with a centre [m], a heading [rad], a length [m] and a width [m]."""
+
+    def __init__(self, x: float, y: float, heading: float, length: float, width: float) -> None:
+        self.x = x
+        self.y = y
+        self.heading = heading
+        self.length = length
+        self.width = width
+
+
+class Body(Box):
+    """A box with a speed [m/s] and controls, which apply until they are changed."""
+
+    def __init__(self, length: float, width: float) -> None:
+        self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0
+        self.length = length
+        self.width = width
+        # nearest lane, updated after all bodies have moved; not used for crossing vehicles
+        self.lane = 0
+
+    def place(self, x: float, y: float, heading: float, speed: float) -> None:
+        """Set the position [m], the heading [rad] and the speed [m/s]."""
+        self.x = x
+        self.y = y
+        self.heading = heading
+        self.speed = speed
+
+    def step(self, dt: float) -> None:
+        """Move the body for ``dt`` seconds, with one explicit Euler step of highway-env's bicycle model."""
+        speed = self.speed
+        if speed > MAX_SPEED:
+            self.acceleration = min(self.acceleration, MAX_SPEED - speed)
+        elif speed < -MAX_SPEED:
+            self.acceleration = max(self.acceleration, -MAX_SPEED - speed)
+        course = self.heading
+        if self.steering != 0.0:
+            slip = math.atan(0.5 * math.tan(self.steering))
+            course += slip
+            self.heading += speed * math.sin(slip) / (self.length / 2.0) * dt
+        if course == 0.0:
+            self.x += speed * dt
+        else:
+            self.x += speed * math.cos(course) * dt
+            self.y += speed * math.sin(course) * dt
+        self.speed = speed + self.acceleration * dt
+
+
+def overlap(a: Box, b: Box) -> bool:
+    """Return whether two boxes overlap. A shared edge is not an overlap."""
+    # Angles are upper bounds of their sines. With these bounds, most pairs are found to be apart without trigonometry.
+    turn_a, turn_b = abs(a.heading), abs(b.heading)
+    if 2.0 * abs(b.x - a.x) > a.length + b.length + a.width * turn_a + b.width * turn_b:
+        return False
+    if 2.0 * abs(b.y - a.y) > a.width + b.width + a.length * turn_a + b.length * turn_b:
+        return False
+    return depth(a, b) < 0.0
+
+
+def depth(a: Box, b: Box) -> float:
+    """Return the largest gap [m] between two boxes along any of their axes, negative if the boxes overlap."""
+    along, across = separation(a, b)
+    its_along, its_across = separation(b, a)
+    return max(along, across, its_along, its_across)
+
+
+def separation(a: Box, b: Box) -> tuple[float, float]:
+    """Return the gaps [m] between two boxes along the length and the width of the first. Overlaps are negative."""
+    cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
+    turn = b.heading - a.heading
+    cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
+    dx, dy = b.x - a.x, b.y - a.y
+    along = abs(dx * cos_a + dy * sin_a)
+    across = abs(dy * cos_a - dx * sin_a)
+    return (
+        along - (a.length + b.length * cos_t + b.width * sin_t) / 2.0,
+        across - (a.width + b.length * sin_t + b.width * cos_t) / 2.0,
+    )
+
+
+def side_hit(ego_before: Box, other_before: Box) -> Side:
+    """Return the side of the ego that was hit, given both boxes at the last tick before the contact."""
+    # The contact occurred along the axis of the ego along which the gap was larger before.
+    along, across = separation(ego_before, other_before)
+    dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y
+    cos_h, sin_h = math.cos(ego_before.heading), math.sin(ego_before.heading)
+    if along >= across:
+        return "front" if dx * cos_h + dy * sin_h > 0.0 else "rear"
+    return "right" if dy * cos_h - dx * sin_h > 0.0 else "left"
 
 
 class Lanes:
@@ -61,11 +169,6 @@ class Lanes:
             if distance < best:
                 best, lane = distance, index
         return lane
-
-
-STEP = 0.5  # distance between neighbouring points of a line [m]
-HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
-ON_LANE = 1e-6  # rounding tolerance at the edges of a lane [m]
 
 
 class Bends:
@@ -333,3 +436,135 @@ def even_rounded(exact: float) -> int:
     below = int(math.floor(exact))  # noqa: RUF046  (a float in C)
     rest = exact - below
     return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below
+
+
+class Places:
+    """The positions of all vehicles of a run.
+
+    On a curved road, vehicles are tracked from tick to tick, because the road can cross itself or be a circle.
+    """
+
+    def __init__(
+        self,
+        vehicles: list[Any],
+        bodies: list[Any],
+        lanes: Lanes | None = None,
+        x: float = 0.0,
+        y: float = 0.0,
+        *,
+        bends: Bends | None = None,
+        starts: Sequence[float] = (),
+        ways: Sequence[Track | None] = (),
+        end: float = 0.0,
+        beside: Callable[[float, float, int, float], tuple[int, Outcome | None]] | None = None,
+        ticks: int = 0,
+    ) -> None:
+        self.vehicles: list[Body] = vehicles
+        self.obstacles: list[Box] = []
+        self.bodies: list[Body] = bodies
+        # outcome if the ego has left the road or a vehicle has reached its end; always None on a straight road
+        self.left: Outcome | None = None
+        self._lanes: Any = lanes
+        self._x = x
+        self._y = y
+        # None if `see` must place bodies after each tick
+        self.lanes = lanes if vehicles[0] is bodies[0] else None
+        self._bends: Any = bends
+        self._ways = list(ways)  # path of each crossing NPC, None for the other vehicles
+        self._end = end  # position along the ego's path at which the run ends [m]
+        # If the ego is on no lane of its path, this function is called with x, y, the nearest lane and the position
+        # along the path. It returns the index of the ego's lane in Trace.lanes, and the outcome if the run ends.
+        self._beside: Any = beside
+        self._along = array("d", starts)  # position of each vehicle along its path [m]
+        # sum of the vehicles recorded at all earlier ticks, from which indices in `track` follow
+        self._row = 0
+        npcs = len(vehicles) - 1
+        rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
+        # values of Trace.track and Trace.on_way; empty if the trace does not need them
+        self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * (npcs + 1) * rows)
+        self.on_way = array("d", [NOWHERE]) * (npcs * rows if crosses else 0)
+
+    def control(self) -> None:
+        """Copy the NPCs' controls, which the director has set, from the bodies to the vehicles."""
+        for number in range(1, len(self.vehicles)):
+            vehicle, body = self.vehicles[number], self.bodies[number]
+            vehicle.acceleration = body.acceleration
+            vehicle.steering = body.steering
+
+    def see(self, record: Any, row: int) -> None:
+        """Locate all vehicles, place their bodies on the road, and write their lanes into the record."""
+        bends, has_ended, count, first = self._bends, False, len(self.vehicles), row
+        for number in range(count):
+            vehicle, body = self.vehicles[number], self.bodies[number]
+            if bends is None:
+                body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
+                record[row + 6] = self._lanes.locate(body)
+            # the body of a crossing NPC is placed along and across the NPC's own path
+            elif (way := self._ways[number]) is not None:
+                record[row + 6] = self._on_own_way(vehicle, body, way, number)
+            else:
+                # all other bodies are placed along the ego's path, at a nominal lateral position
+                bends.locate(vehicle.x, vehicle.y, vehicle.heading, self._along[number])
+                along = bends.along
+                self._along[number] = along
+                body.place(
+                    along,
+                    bends.in_lanes(bends.lane, along, bends.offset),
+                    bends.angle,
+                    vehicle.speed,
+                )
+                body.lane = bends.nearest_lane(body.y)
+                record[row + 6] = bends.part(bends.lane, along, bends.offset)
+                self._note(number)
+                has_ended = has_ended or along + body.length / 2.0 >= self._end
+            row += ROW_LENGTH
+        self._row += count
+        if has_ended:
+            self.left = Outcome.END_OF_ROAD
+        # the ego is in a lane of another road, or off the road
+        elif bends is not None and record[first + 6] < 0:
+            ego = self.vehicles[0]
+            bends.locate(ego.x, ego.y, ego.heading, self._along[0])
+            record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
+
+    def _on_own_way(self, vehicle: Body, body: Body, way: Track, number: int) -> int:
+        way.locate(vehicle.x, vehicle.y, self._along[number])
+        along = self._along[number] = way.along
+        turned = vehicle.heading - way.direction
+        turned = (turned + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+        body.place(along, way.across, turned, vehicle.speed)
+        self.on_way[self._row // len(self.vehicles) * (len(self.vehicles) - 1) + number - 1] = along
+        if self.is_on_way(way, vehicle.x, vehicle.y, vehicle.heading, along):
+            self._note(number)
+        return way.parts[way.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
+
+    def along(self, number: int) -> float:
+        return self._along[number]
+
+    def way(self, number: int) -> Track | None:
+        return self._ways[number]
+
+    def is_on_way(
+        self, way: Track | None, x: float, y: float, heading: float, along: float
+    ) -> bool:
+        """Locate a vehicle along the ego's path, and return whether it is on that path."""
+        bends: Bends = self._bends
+        if way is None:
+            bends.locate(x, y, heading, along)
+            return True
+        if along < way.enters:  # before its zone, a crossing NPC is never on the ego's path
+            return False
+        near = way.along_ego[min(even_rounded(along / STEP), len(way.along_ego) - 1)]
+        if math.isnan(near):
+            return False
+        bends.locate(x, y, heading, near)
+        is_on = bends.part(bends.lane, bends.along, bends.offset) >= 0
+        return is_on and -NOT_ON_WAY < bends.angle < NOT_ON_WAY
+
+    def _note(self, number: int) -> None:
+        bends, track, row = self._bends, self.track, TRACK_COLUMNS * (self._row + number)
+        track[row] = bends.along
+        track[row + 1] = bends.across
+        track[row + 2] = bends.angle
+        track[row + 3] = bends.offset
+        track[row + 4] = bends.stretch(bends.along, bends.across)

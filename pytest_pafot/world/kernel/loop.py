@@ -25,11 +25,10 @@ from pytest_pafot.world.kernel.action import (
     possible_steering,
     without_reversing,
 )
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, overlap
 from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body, Box, Places, overlap
 from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.kernel.places import Places
 
 
 class EgoDriver:

@@ -13,9 +13,7 @@ import numpy as np
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.world.kernel.bodies import COLUMNS
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import COLUMNS, Bends, Lanes, Places
 
 HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 

@@ -22,9 +22,8 @@ from pytest_pafot import (
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, WorldError, from_dict
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body, Places
 from pytest_pafot.world.kernel.observation import RoadSensor
-from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.roads.network import STEP
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
