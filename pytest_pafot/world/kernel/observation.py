@@ -380,7 +380,8 @@ class RoadSensor(Sensor):
         common: tuple[int, float, float, float],
         physics_hz: float,
         every: int,
-        sight: tuple[Sight, int] | None,
+        sight: Sight | None,
+        seed: int,
     ) -> None:
         super().__init__()
         self.is_bent = True
@@ -393,10 +394,8 @@ class RoadSensor(Sensor):
         self._common = common
         self._physics_hz = physics_hz
         self._every = every
-        self._sight: Any = None
-        self._seed = 0
-        if sight is not None:
-            self._sight, self._seed = sight
+        self._sight: Any = sight
+        self._seed = seed
         self._sizes = [(each.length, each.width) for each in places.vehicles]
         self._drift = 0.0
 
