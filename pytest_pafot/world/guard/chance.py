@@ -171,7 +171,8 @@ class _Generators:
                 self._seed(scenario.seed)
                 trace = rollout(scenario, factory, **given)
             if self._drew(self._seeded(scenario.seed)):
-                trace = replace(trace, drew=True) if isinstance(trace, Trace) else trace
+                if isinstance(trace, Trace):
+                    trace = replace(trace, drew=True)
             elif self._may_share and not _uses_gpu():
                 self.share()
             self._may_share = False

@@ -33,21 +33,25 @@ from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 FREEZE = 3.0
 # The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
 # NPC would wait for an ego that itself waits.
-SLOWEST, FASTEST = 0.5, 1.3
+SLOWEST = 0.5
+FASTEST = 1.3
 PASS, HOLD, STOP, LATE = range(4)  # acts of an NPC at its zone, in the order of ACTS
 # distance before a conflict at which an NPC waits until the ego or another NPC has passed [m]
 MARGIN = 1.0
 SETTING_OFF = 1.1  # time that a waiting NPC needs to reach its zone [s]
 # reaction time to an ego that has entered the NPC's zone [s], and hardest braking in that reaction [m/s^2]
-RESPONSE, ANSWER = 1.0, 6.0
+RESPONSE = 1.0
+ANSWER = 6.0
 # when an NPC must decide whether it can still stop: the time in which braking builds up [s], and the braking [m/s^2]
-BUILDING_UP, BRAKING = 0.4, 5.0
+BUILDING_UP = 0.4
+BRAKING = 5.0
 # lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
 LEAST_SPEED = 0.5
 ABREAST = 2.0  # distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
 # unlike math.inf and math.nan, these are C numbers in compiled code
-UNENDING, NOWHERE = math.inf, float("nan")
+UNENDING = math.inf
+NOWHERE = float("nan")
 
 
 class SharedPlace:
@@ -70,7 +74,9 @@ class LeaderAhead:
     def place(self, along: float) -> float:
         """Convert a position [m] on the vehicle's path to a position on the NPC's path, or to NaN."""
         point = int(along / STEP + 0.5)
-        return self.places[point] if 0 <= point < len(self.places) else NOWHERE
+        if 0 <= point < len(self.places):
+            return self.places[point]
+        return NOWHERE
 
 
 class CrossingNpc(Body):
@@ -117,11 +123,12 @@ class CrossingNpc(Body):
         self.leaders: list[LeaderAhead] = []
 
     def _plan(self) -> None:
-        speeds, times = self.speeds, self.times
+        speeds = self.speeds
+        times = self.times
         for point in range(len(speeds)):
-            most = (
-                gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
-            )
+            most = self.wanted
+            if self.act == STOP:
+                most = gap_speed(max(self.middle - point * STEP, 0.0))
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
                 # from the mean speed over a step, with a lower limit, so that stops take a finite time
@@ -197,7 +204,8 @@ class JunctionDirector(BaseDirector):
         way = self._junction.ways[instruction.zone].for_vehicle(kind, self._limits)
         limits = self._limits.for_vehicle(kind)
         zone = way.way.zone
-        act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
+        act = ACTS.index(instruction.act)
+        speeds = way.way.speeds.tolist()
         driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
         npc = CrossingNpc(
             way.track,
@@ -210,7 +218,8 @@ class JunctionDirector(BaseDirector):
             (kind.length, kind.width),
             driver,
         )
-        npc.index, npc.slot = index, instruction.slot
+        npc.index = index
+        npc.slot = instruction.slot
         npc.turning = BEND_SHARE * limits.lateral_acceleration
         npc.begins = self._junction.crossings.start(instruction)
         return npc
@@ -218,7 +227,9 @@ class JunctionDirector(BaseDirector):
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
         # The conflicts of a vehicle's path with other paths, and the vehicles that can be ahead in its lane.
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
-        mine, conflicts, leaders = names[number], [], []
+        mine = names[number]
+        conflicts = []
+        leaders = []
         for other, theirs in enumerate(names):
             # the director of the grid handles pairs of vehicles on the ego's path
             if other == number or mine == theirs == EGOS:
@@ -244,7 +255,9 @@ class JunctionDirector(BaseDirector):
             next(chains) if each is None else chain
             for each, chain in zip(self._scenario.crossings, self._scenario.npcs, strict=True)
         )
-        return self._scenario if npcs == self._scenario.npcs else replace(self._scenario, npcs=npcs)
+        if npcs == self._scenario.npcs:
+            return self._scenario
+        return replace(self._scenario, npcs=npcs)
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
@@ -252,11 +265,9 @@ class JunctionDirector(BaseDirector):
 
     def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
         others = iter(rows)
-        return (
-            tuple(next(others) if each is None else () for each in self._scenario.crossings)
-            if rows
-            else ()
-        )
+        if rows:
+            return tuple(next(others) if each is None else () for each in self._scenario.crossings)
+        return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
@@ -269,7 +280,9 @@ class JunctionDirector(BaseDirector):
         )
 
     def first_cells(self) -> tuple[Cell, ...]:
-        return () if self._grid is None else self._grid.first_cells()
+        if self._grid is None:
+            return ()
+        return self._grid.first_cells()
 
     def started(self, starts: list[Start]) -> list[Start]:
         on_grid = iter(starts if self._grid is None else self._grid.started(starts))
@@ -278,7 +291,8 @@ class JunctionDirector(BaseDirector):
         ]
 
     def _start(self, npc: CrossingNpc) -> Start:
-        track, along = npc.track, npc.begins
+        track = npc.track
+        along = npc.begins
         # just after a bend, there is still slip
         turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
@@ -360,8 +374,11 @@ class JunctionDirector(BaseDirector):
         now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
-            first, last = (npc.ego_enters - ego.x) / speed, (npc.ego_leaves - ego.x) / speed
-            crossing = 0.0 if npc.act == STOP else npc.lasts(npc.enters, npc.leaves)
+            first = (npc.ego_enters - ego.x) / speed
+            last = (npc.ego_leaves - ego.x) / speed
+            crossing = 0.0
+            if npc.act != STOP:
+                crossing = npc.lasts(npc.enters, npc.leaves)
             # A positive slot means after the ego, a negative slot before the ego, and 0 together with the ego.
             if npc.slot > 0.0:
                 due = last + npc.slot
@@ -420,7 +437,9 @@ class JunctionDirector(BaseDirector):
             if self._is_beside(theirs) or self._is_beside(mine):
                 continue
             is_in = theirs.x >= conflict.its_begins
-            comes = 0.0 if is_in else self._time_to(theirs, conflict.its_begins)
+            comes = 0.0
+            if not is_in:
+                comes = self._time_to(theirs, conflict.its_begins)
             if comes > self._time_to(mine, conflict.ends) + APART:  # this NPC passes first
                 continue
             if (
@@ -455,7 +474,8 @@ class JunctionDirector(BaseDirector):
 
     def _steer(self, npc: CrossingNpc) -> None:
         track = npc.track
-        direction, lean = track.value(track.heading, npc.x), track.value(track.lean, npc.x)
+        direction = track.value(track.heading, npc.x)
+        lean = track.value(track.lean, npc.x)
         later = npc.x + npc.speed * self._dt
         turn = track.value(track.heading, later) + track.value(track.lean, later) - direction - lean
         npc.steering = npc.driver.steering_in_bend(

@@ -54,7 +54,8 @@ TRACK = 0.3
 REACTION = 1.0  # reaction time of an NPC to unexpected behaviour of the ego [s]
 ANSWER = 6.0  # hardest braking of an NPC in that reaction [m/s^2]
 # reaction time and braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]
-ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
+ENTRY_TIME = 0.35
+ENTRY_BRAKING = 6.0
 ENTRY_GAP = 1.5  # smallest gap at which an NPC moves in behind an ego of equal speed [m]
 NOT_BEHIND = -1
 
@@ -171,20 +172,22 @@ class Director(BaseDirector):
         for npc, kind in zip(self.npcs, kinds, strict=True):
             # equal vehicles share a controller, which keeps no state between two calls
             if kind is not before:
-                before, own = kind, limits.for_vehicle(kind)
+                before = kind
+                own = limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(
                     own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed
                 )
                 # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
-                half_lengths, longer = (
-                    (ego_length + npc.length) / 2.0,
-                    max(npc.length - CAR.length, 0.0) / 2.0,
-                )
+                half_lengths = (ego_length + npc.length) / 2.0
+                longer = max(npc.length - CAR.length, 0.0) / 2.0
                 self._row = max(self._row, half_lengths)
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
-            npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
-            npc.half_lengths, npc.longer = half_lengths, longer
+            npc.limits = own
+            npc.driver = driver
+            npc.top_speed = top_speed
+            npc.half_lengths = half_lengths
+            npc.longer = longer
         self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
@@ -239,10 +242,8 @@ class Director(BaseDirector):
         held = self._repaired(
             None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0
         )
-        on_grid, free = (
-            iter(held),
-            iter([cell for cell in LANE_STARTS if cell in existing and cell not in held]),
-        )
+        on_grid = iter(held)
+        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
 
     def command(self, ego: Body) -> None:
@@ -287,10 +288,8 @@ class Director(BaseDirector):
         gene = self._gene
         active = [npc for npc in self._on_grid if gene < len(npc.chain)]
         if gene:
-            before, wanted = (
-                [npc.executed[-1] for npc in active],
-                [npc.chain[gene].cell for npc in active],
-            )
+            before = [npc.executed[-1] for npc in active]
+            wanted = [npc.chain[gene].cell for npc in active]
             cells = self._repaired(before, wanted, self._existing(ego), active, gene)
         else:
             cells = tuple(
@@ -305,7 +304,8 @@ class Director(BaseDirector):
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
-            npc.row, npc.column = cell.row, cell.column
+            npc.row = cell.row
+            npc.column = cell.column
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
@@ -317,7 +317,9 @@ class Director(BaseDirector):
                 has_lane = self._has_lane(npc, wanted_lane)
                 npc.executed.append(instruction.lane if has_lane else "keep")
                 npc.arrivals.append(None)
-                npc.shift_lane = wanted_lane if has_lane else npc.lane
+                npc.shift_lane = npc.lane
+                if has_lane:
+                    npc.shift_lane = wanted_lane
                 npc.kept_speed = instruction.speed
                 npc.kept_lane = NO_LANE
 
@@ -343,7 +345,9 @@ class Director(BaseDirector):
 
     def _control(self, npc: Npc, ego: Body) -> None:
         # Arrivals come first, because they determine the desired lane and speed in this tick.
-        target = self._target(npc, ego) if self._attentive else npc.target
+        target = npc.target
+        if self._attentive:
+            target = self._target(npc, ego)
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
@@ -402,26 +406,31 @@ class Director(BaseDirector):
             has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(
                 ego.speed * ego.heading
             )
-            npc.behind = self._reaction if has_moved_in else 0
+            npc.behind = 0
+            if has_moved_in:
+                npc.behind = self._reaction
         elif npc.behind < self._reaction:
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
         # The NPC expects an ego behind another NPC to brake, and reacts immediately. Otherwise, it reacts late.
         is_led = self._is_led(ego)
-        x, ego_speed = ego.x, ego.speed
+        x = ego.x
+        ego_speed = ego.speed
         # expected distance that the ego has driven since then, if it is still braking as before [m]
         ahead = 0.0
         if not is_led and self._tick > 0:
             seen = self._seen
             # the two oldest entries
-            before, place = self._tick % self._kept, (self._tick + 1) % self._kept
-            x, ego_speed = seen[2 * place], seen[2 * place + 1]
+            before = self._tick % self._kept
+            place = (self._tick + 1) % self._kept
+            x = seen[2 * place]
+            ego_speed = seen[2 * place + 1]
             gained = ego_speed - seen[2 * before + 1]
             braking = max(-gained * self._reaction / self._delay, 0.0)
-            seconds = (
-                ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
-            )
+            seconds = self._delay
+            if 0.0 < ego_speed < braking * self._delay:
+                seconds = ego_speed / braking
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
@@ -436,7 +445,9 @@ class Director(BaseDirector):
         if npc.x > ego.x:
             # An NPC with a Lane-Instruction brakes to its target speed while it moves in. An NPC on the grid first
             # reaches its cell.
-            speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
+            speed = npc.speed
+            if npc.shift_lane != NO_LANE:
+                speed = min(npc.speed, npc.kept_speed)
             closing = max(ego.speed - speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
@@ -484,16 +495,19 @@ class Director(BaseDirector):
         claims = theirs.heading_for == lane and theirs.index < mine.index
         if not (in_lane or claims):
             return True
-        front, rear = mine, theirs
+        front = mine
+        rear = theirs
         if theirs.x > mine.x:  # in compiled code, a conditional expression would create a tuple
-            front, rear = theirs, mine
+            front = theirs
+            rear = mine
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         return front.x - rear.x - (front.length + rear.length) / 2.0
 
     def _following(self, mine: Npc, speed: float) -> float:
-        lane, goal = mine.lane, mine.heading_for
+        lane = mine.lane
+        goal = mine.heading_for
         for theirs in self.npcs:
             distance = theirs.x - mine.x
             if distance < 0.0 or distance >= self._far or theirs is mine:
@@ -558,7 +572,9 @@ class NetworkDirector(Director):
     @property
     def executed(self) -> Scenario:
         # A chain contains only steps between neighbouring cells, so it cannot express a step that skipped a cell.
-        return self._scenario if self.driven_cells else super().executed
+        if self.driven_cells:
+            return self._scenario
+        return super().executed
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
@@ -568,9 +584,9 @@ class NetworkDirector(Director):
             [gene.cell for gene in chain[: len(row)]] == list(row)
             for chain, row in zip(written.positions, cells, strict=True)
         )
-        return (
-            () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
-        )
+        if is_written:
+            return ()
+        return tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
 
     def _first_existing(self) -> frozenset[Cell]:
         return self._start_cells
@@ -624,8 +640,11 @@ class NetworkDirector(Director):
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
         # The lane to steer to, and the desired speed [m/s] for the NPC's instruction.
         target_lane = ego.lane + npc.column
-        stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
-        along = self._target(npc, ego) if self._attentive else npc.target
+        stretch = self._stretch(npc)
+        ego_stretch = self._stretch(ego)
+        along = npc.target
+        if self._attentive:
+            along = self._target(npc, ego)
         target = ego.x + along / ego_stretch
         distance = (target - npc.x) * stretch
         shift = npc.shift_lane
@@ -655,29 +674,38 @@ class NetworkDirector(Director):
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted
         # The NPC's lane ends, so it prefers the neighbouring lane that is nearer to the ego's lane.
-        side, other = npc.lane - 1, npc.lane + 1
+        side = npc.lane - 1
+        other = npc.lane + 1
         if abs(other - ego.lane) < abs(side - ego.lane):
             side, other = other, side
         if self._goes_on(side, npc):
             return self._step(npc, side, ego)
-        return self._step(npc, other, ego) if self._goes_on(other, npc) else npc.lane
+        if self._goes_on(other, npc):
+            return self._step(npc, other, ego)
+        return npc.lane
 
     def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
         step = Director._next_lane(self, npc, target_lane, ego)  # C methods have no super()
         is_slow_enough = npc.speed <= npc.bends.speed_at(step, npc.x)
         has_room = step == npc.lane or self.others is None or self.others.leaves_room(npc, step)
-        return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
+        if self._goes_on(step, npc) and is_slow_enough and has_room:
+            return step
+        return npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
-        rear, later = npc.x - npc.length, npc.x + npc.length + LOOK_AHEAD * npc.speed
+        rear = npc.x - npc.length
+        later = npc.x + npc.length + LOOK_AHEAD * npc.speed
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
-        bends, driver = npc.bends, npc.driver
-        direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
+        bends = npc.bends
+        driver = npc.driver
+        direction = bends.direction_at(goal, npc.x)
+        lean = bends.lean_at(goal, npc.x)
         # the position after the coming tick, from which the change of direction in that tick follows
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
-        later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
+        later_direction = bends.direction_at(goal, later)
+        later_lean = bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(
             npc.y - goal * self._width_of_lanes,
             bends.heading_at(npc.x) + npc.heading - direction,

@@ -103,7 +103,11 @@ def closing_room(gap: float, closing_speed: float) -> float:
 
 def clamp(value: float, bound: float) -> float:
     """Limit a number to [-bound, bound]."""
-    return bound if value > bound else -bound if value < -bound else value
+    if value > bound:
+        return bound
+    if value < -bound:
+        return -bound
+    return value
 
 
 class NpcDriver:
@@ -143,8 +147,11 @@ class NpcDriver:
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
         """Return the acceleration [m/s^2] towards a desired speed, within all limits."""
         acceleration = SPEED_GAIN * (wanted_speed - speed)
-        before = 0.0 if speed <= 0.0 else previous
-        lowest, highest = before - self._jerk_step, before + self._jerk_step
+        before = previous
+        if speed <= 0.0:
+            before = 0.0
+        lowest = before - self._jerk_step
+        highest = before + self._jerk_step
         # max() is slower if interpreted
         lowest = lowest if lowest > -self._braking else -self._braking
         acceleration = lowest if acceleration < lowest else acceleration
@@ -168,7 +175,9 @@ class NpcDriver:
             release = math.sqrt(self._jerk_twice * (self.top_speed - speed)) - self._jerk_step / 2.0
             release = max(release, 0.0)
         acceleration = min(acceleration, self._acceleration)
-        return release if acceleration > release else acceleration
+        if acceleration > release:
+            return release
+        return acceleration
 
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
         """Return the steering angle [rad] towards the centre of a lane, for highway-env's bicycle model.
@@ -217,7 +226,9 @@ class NpcDriver:
             math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest),
         )
         bound = max(min(bound, self._swing), 0.0)
-        wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
+        wanted = bound
+        if lateral_speed < speed:
+            wanted = math.asin(lateral_speed / speed)
         wanted = math.copysign(min(wanted, bound), -offset)
         # Neither the heading nor the course may turn faster than this.
         fastest = self._lateral_limit / speed
@@ -264,7 +275,8 @@ class LaneTracker:
         turning = self._tightest * speed * speed
         # The heading follows the course within half the car's length. Speeding up on that distance sharpens the turn.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
-        limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
+        limit = MARGIN * min(share * most, turning)
+        step = MARGIN * jerk
         # The course turns towards a lateral speed from which the car can still stop at the lane's centre.
         planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
         # The stopping distance from a lateral speed v is v^2 / 2a, plus v a / 2j while the deceleration a builds up.
@@ -272,7 +284,8 @@ class LaneTracker:
         lateral_speed = math.sqrt(ramp * ramp + 2.0 * planned * abs(offset)) - ramp
         slope = planned / (lateral_speed + ramp)
         if lateral_speed > speed * math.sin(LANE_ANGLE):
-            lateral_speed, slope = speed * math.sin(LANE_ANGLE), 0.0
+            lateral_speed = speed * math.sin(LANE_ANGLE)
+            slope = 0.0
         missing = speed * _turn(
             math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course
         )

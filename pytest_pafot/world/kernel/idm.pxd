@@ -124,10 +124,9 @@ cdef class EgosRoadRules:
     @cython.locals(row=Py_ssize_t, its_row=Py_ssize_t)
     cdef bint _conflict(self, Body one, Body other) except -1
 
+    @cython.locals(predicted="double[::1]", along=int, across=int)
+    cdef bint _has_corner_inside(self, Body one, Py_ssize_t row, Body other, Py_ssize_t its_row) except -1
+
     cdef bint _comes_second(self, NetworkVehicle one, Body other) except -1
 
     cdef _foresee_npc(self, Py_ssize_t row, Body body, double time)
-
-@cython.locals(along=int, across=int)
-cdef bint _has_corner_inside(double x, double y, double heading, double length, double width, double other_x,
-                             double other_y, double other_heading, double other_length, double other_width) except -1

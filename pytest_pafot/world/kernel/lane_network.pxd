@@ -1,5 +1,6 @@
 cimport cython
 from libc cimport math
+from pytest_pafot.world.kernel.driver cimport clamp
 
 cdef int LANE_VALUES, SINE, CIRCULAR
 cdef double LANE_ENDS, HALF_TURN
@@ -10,6 +11,7 @@ cdef class Network:
     cdef readonly double along, across, x, y
     cdef readonly int[::1] numbers
     cdef readonly double[::1] lengths, speed_limits
+    cdef tuple _given
     cdef int[::1] _kinds, _sections, _forbidden
     cdef double[::1] _shapes, _widths
 

@@ -40,6 +40,7 @@ cpdef Py_ssize_t even_rounded(double exact) except? -1
 cdef class Bends:
     cdef readonly double along, across, angle, offset
     cdef readonly int lane
+    cdef tuple _given
     cdef double[::1] _x, _y, _heading, _across, _direction, _lean, _speed, _sharpest, _widths
     cdef int[::1] _exists, _part
     cdef Py_ssize_t _points
@@ -94,6 +95,7 @@ cdef class Track:
     cdef readonly double[::1] x, y, heading, lean, speed, sharpest, along_ego
     cdef readonly int[::1] parts
     cdef readonly double enters
+    cdef tuple _given
     cdef Py_ssize_t _last
 
     cpdef Py_ssize_t point(self, double along) except -1

@@ -80,7 +80,8 @@ class Body(Box):
 def overlap(a: Box, b: Box) -> bool:
     """Return whether two boxes overlap. A shared edge is not an overlap."""
     # Angles are upper bounds of their sines. With these bounds, most pairs are found to be apart without trigonometry.
-    turn_a, turn_b = abs(a.heading), abs(b.heading)
+    turn_a = abs(a.heading)
+    turn_b = abs(b.heading)
     if 2.0 * abs(b.x - a.x) > a.length + b.length + a.width * turn_a + b.width * turn_b:
         return False
     if 2.0 * abs(b.y - a.y) > a.width + b.width + a.length * turn_a + b.length * turn_b:
@@ -97,10 +98,13 @@ def depth(a: Box, b: Box) -> float:
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
     """Return the gaps [m] between two boxes along the length and the width of the first. Overlaps are negative."""
-    cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
+    cos_a = math.cos(a.heading)
+    sin_a = math.sin(a.heading)
     turn = b.heading - a.heading
-    cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
-    dx, dy = b.x - a.x, b.y - a.y
+    cos_t = abs(math.cos(turn))
+    sin_t = abs(math.sin(turn))
+    dx = b.x - a.x
+    dy = b.y - a.y
     along = abs(dx * cos_a + dy * sin_a)
     across = abs(dy * cos_a - dx * sin_a)
     return (
@@ -113,11 +117,17 @@ def side_hit(ego_before: Box, other_before: Box) -> Side:
     """Return the side of the ego that was hit, given both boxes at the last tick before the contact."""
     # The contact occurred along the axis of the ego along which the gap was larger before.
     along, across = separation(ego_before, other_before)
-    dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y
-    cos_h, sin_h = math.cos(ego_before.heading), math.sin(ego_before.heading)
+    dx = other_before.x - ego_before.x
+    dy = other_before.y - ego_before.y
+    cos_h = math.cos(ego_before.heading)
+    sin_h = math.sin(ego_before.heading)
     if along >= across:
-        return "front" if dx * cos_h + dy * sin_h > 0.0 else "rear"
-    return "right" if dy * cos_h - dx * sin_h > 0.0 else "left"
+        if dx * cos_h + dy * sin_h > 0.0:
+            return "front"
+        return "rear"
+    if dy * cos_h - dx * sin_h > 0.0:
+        return "right"
+    return "left"
 
 
 class Lanes:
@@ -148,26 +158,30 @@ class Lanes:
             body.lane = self.count - 1
         else:
             lane = int(lanes)
-            body.lane = lane + 1 if lane < lanes else lane
-        return (
-            body.lane
-            if self._left <= across <= self._right and 0.0 <= body.x <= self.length
-            else -1
-        )
+            body.lane = lane
+            if lane < lanes:
+                body.lane = lane + 1
+        if self._left <= across <= self._right and 0.0 <= body.x <= self.length:
+            return body.lane
+        return -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
         """Return the lane with the smallest sum of distance [m] and angle [rad], as highway-env does."""
         # A vehicle that is well inside a lane is nearest to that lane. Otherwise, all lanes are compared.
-        near = int(across / self.width + 0.5) if across > 0.0 else 0
+        near = 0
+        if across > 0.0:
+            near = int(across / self.width + 0.5)
         if near < self.count and abs(across - near * self.width) < self._inside:
             return near  # the other terms are equal for all lanes
         beyond = max(along - self.length, 0.0) + max(-along, 0.0)
         angle = abs((heading + math.pi) % (2.0 * math.pi) - math.pi)
-        best, lane = math.inf, 0
+        best = math.inf
+        lane = 0
         for index in range(self.count):
             distance = abs(across - index * self.width) + beyond + angle
             if distance < best:
-                best, lane = distance, index
+                best = distance
+                lane = index
         return lane
 
 
@@ -188,15 +202,21 @@ class Bends:
         lane_width: float,
     ) -> None:
         x, y, heading = line
+        self._given = line, flags, shape, widths, lane_width
         # 1 where a lane exists, else 0; index of the lane in Trace.lanes, or -1
         exists, part = flags
         # At each point of a lane: the distance to the right of the line [m], the direction [rad], the lean of a vehicle
         # in the lane [rad], the highest speed of NPCs [m/s], and the largest curvature during a lane change [1/m].
         across, direction, lean, speed, sharpest = shape
-        self._x, self._y, self._heading = array("d", x), array("d", y), array("d", heading)
-        self._exists, self._part = array("i", exists), array("i", part)
-        self._across, self._direction = array("d", across), array("d", direction)
-        self._lean, self._speed = array("d", lean), array("d", speed)
+        self._x = array("d", x)
+        self._y = array("d", y)
+        self._heading = array("d", heading)
+        self._exists = array("i", exists)
+        self._part = array("i", part)
+        self._across = array("d", across)
+        self._direction = array("d", direction)
+        self._lean = array("d", lean)
+        self._speed = array("d", speed)
         self._sharpest = array("d", sharpest)
         self._widths = array("d", widths)  # widths of Trace.lanes [m]
         self._points = len(x)
@@ -210,16 +230,7 @@ class Bends:
 
     def __reduce__(self) -> tuple[object, ...]:
         # pickled when worlds are sent to other processes
-        line = list(self._x), list(self._y), list(self._heading)
-        flags = list(self._exists), list(self._part)
-        shape = (
-            list(self._across),
-            list(self._direction),
-            list(self._lean),
-            list(self._speed),
-            list(self._sharpest),
-        )
-        return Bends, (line, flags, shape, list(self._widths), self._lane_width)
+        return Bends, self._given
 
     def point(self, along: float) -> int:
         """Return the index of the point nearest to a position. If two are equally near, return the even one."""
@@ -260,11 +271,9 @@ class Bends:
     def pose(self, lane: int, along: float) -> tuple[float, float, float]:
         """Return the world x [m], y [m] and heading [rad] of a vehicle at the centre of a lane."""
         self._refer(along)
-        across, sin, cos = (
-            self.across_at(lane, along),
-            math.sin(self._direction0),
-            math.cos(self._direction0),
-        )
+        across = self.across_at(lane, along)
+        sin = math.sin(self._direction0)
+        cos = math.cos(self._direction0)
         heading = self.direction_at(lane, along) + self.lean_at(lane, along)
         return self._x0 - sin * across, self._y0 + cos * across, heading
 
@@ -308,7 +317,8 @@ class Bends:
         # each step projects onto the tangent at the last position, which converges even in bends
         for _ in range(4):
             self._refer(along)
-            cos, sin = math.cos(self._direction0), math.sin(self._direction0)
+            cos = math.cos(self._direction0)
+            sin = math.sin(self._direction0)
             ahead = (x - self._x0) * cos + (y - self._y0) * sin
             across = (y - self._y0) * cos - (x - self._x0) * sin
             along = min(
@@ -320,12 +330,17 @@ class Bends:
         across = (y - self._y0) * math.cos(self._direction0) - (x - self._x0) * math.sin(
             self._direction0
         )
-        point, nearest, best = self.point(along), 0, math.inf
+        point = self.point(along)
+        nearest = 0
+        best = math.inf
         for lane in range(self._lanes):
             index = lane * self._points + point
             if self._exists[index] != 0 and abs(across - self._across[index]) < best:
-                nearest, best = lane, abs(across - self._across[index])
-        self.along, self.across, self.lane = along, across, nearest
+                nearest = lane
+                best = abs(across - self._across[index])
+        self.along = along
+        self.across = across
+        self.lane = nearest
         self.angle = (heading - self._direction0 + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
         self.offset = across - self._value(self._across, nearest, along)
 
@@ -346,7 +361,9 @@ class Bends:
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]
-        return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
+        if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE:
+            return part
+        return -1
 
     def nearest_lane(self, lateral: float) -> int:
         """Return the lane with its centre nearest to a nominal lateral position."""
@@ -369,18 +386,21 @@ class Track:
         along_ego: Sequence[float],
         enters: float,
     ) -> None:
+        self._given = x, y, heading, lean, speed, sharpest, parts, along_ego, enters
         self._last = len(x) - 1
         # The lane of each point as an index in Trace.lanes, the position of each point along the ego's path [m] or NaN,
         # and the position at which the path enters its zone [m].
-        self.parts, self.along_ego, self.enters = array("i", parts), array("d", along_ego), enters
-        self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
+        self.parts = array("i", parts)
+        self.along_ego = array("d", along_ego)
+        self.enters = enters
+        self.x = array("d", x)
+        self.y = array("d", y)
+        self.heading = array("d", heading)
         # At each point: the angle between the path and a vehicle that follows it [rad], the highest speed of an NPC
         # [m/s], and the largest curvature during a lane change that starts there [1/m].
-        self.lean, self.speed, self.sharpest = (
-            array("d", lean),
-            array("d", speed),
-            array("d", sharpest),
-        )
+        self.lean = array("d", lean)
+        self.speed = array("d", speed)
+        self.sharpest = array("d", sharpest)
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
@@ -388,9 +408,7 @@ class Track:
         return self
 
     def __reduce__(self) -> tuple[object, ...]:
-        x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
-        of_lane = list(self.speed), list(self.sharpest), list(self.parts), list(self.along_ego)
-        return Track, (x, y, heading, lean, *of_lane, self.enters)
+        return Track, self._given
 
     def point(self, along: float) -> int:
         return min(max(int(along / STEP + 0.5), 0), self._last)
@@ -407,7 +425,8 @@ class Track:
             )
             dx = x - (self.x[index] + share * (self.x[index + 1] - self.x[index]))
             dy = y - (self.y[index] + share * (self.y[index + 1] - self.y[index]))
-            cos, sin = math.cos(direction), math.sin(direction)
+            cos = math.cos(direction)
+            sin = math.sin(direction)
             ahead = dx * cos + dy * sin
             place += ahead
             self.across = dy * cos - dx * sin
@@ -435,7 +454,9 @@ def even_rounded(exact: float) -> int:
     """Round to the nearest integer, or to the even one if two are equally near."""
     below = int(math.floor(exact))  # noqa: RUF046  (a float in C)
     rest = exact - below
-    return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below
+    if rest > 0.5 or (rest == 0.5 and below % 2 != 0):
+        return below + 1
+    return below
 
 
 class Places:
@@ -468,7 +489,9 @@ class Places:
         self._x = x
         self._y = y
         # None if `see` must place bodies after each tick
-        self.lanes = lanes if vehicles[0] is bodies[0] else None
+        self.lanes = None
+        if vehicles[0] is bodies[0]:
+            self.lanes = lanes
         self._bends: Any = bends
         self._ways = list(ways)  # path of each crossing NPC, None for the other vehicles
         self._end = end  # position along the ego's path at which the run ends [m]
@@ -479,7 +502,10 @@ class Places:
         # sum of the vehicles recorded at all earlier ticks, from which indices in `track` follow
         self._row = 0
         npcs = len(vehicles) - 1
-        rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
+        rows = 0
+        if bends is not None:
+            rows = ticks + 1
+        crosses = len(ways) > ways.count(None)
         # values of Trace.track and Trace.on_way; empty if the trace does not need them
         self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * (npcs + 1) * rows)
         self.on_way = array("d", [NOWHERE]) * (npcs * rows if crosses else 0)
@@ -487,15 +513,20 @@ class Places:
     def control(self) -> None:
         """Copy the NPCs' controls, which the director has set, from the bodies to the vehicles."""
         for number in range(1, len(self.vehicles)):
-            vehicle, body = self.vehicles[number], self.bodies[number]
+            vehicle = self.vehicles[number]
+            body = self.bodies[number]
             vehicle.acceleration = body.acceleration
             vehicle.steering = body.steering
 
     def see(self, record: Any, row: int) -> None:
         """Locate all vehicles, place their bodies on the road, and write their lanes into the record."""
-        bends, has_ended, count, first = self._bends, False, len(self.vehicles), row
+        bends = self._bends
+        has_ended = False
+        count = len(self.vehicles)
+        first = row
         for number in range(count):
-            vehicle, body = self.vehicles[number], self.bodies[number]
+            vehicle = self.vehicles[number]
+            body = self.bodies[number]
             if bends is None:
                 body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
                 record[row + 6] = self._lanes.locate(body)
@@ -536,7 +567,9 @@ class Places:
         self.on_way[self._row // len(self.vehicles) * (len(self.vehicles) - 1) + number - 1] = along
         if self.is_on_way(way, vehicle.x, vehicle.y, vehicle.heading, along):
             self._note(number)
-        return way.parts[way.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
+        if 0.0 <= along <= (len(way.parts) - 1) * STEP:
+            return way.parts[way.point(along)]
+        return -1
 
     def along(self, number: int) -> float:
         return self._along[number]
@@ -562,7 +595,9 @@ class Places:
         return is_on and -NOT_ON_WAY < bends.angle < NOT_ON_WAY
 
     def _note(self, number: int) -> None:
-        bends, track, row = self._bends, self.track, TRACK_COLUMNS * (self._row + number)
+        bends = self._bends
+        track = self.track
+        row = TRACK_COLUMNS * (self._row + number)
         track[row] = bends.along
         track[row + 1] = bends.across
         track[row + 2] = bends.angle

@@ -65,15 +65,18 @@ WIDER = 1.0
 # distance below which boxes count as touching [m]; otherwise, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
 # largest distance and angle between two paths in the same lane [m, rad]
-ONE_LANE, ONE_DIRECTION = 0.5, 0.1
+ONE_LANE = 0.5
+ONE_DIRECTION = 0.1
 # largest distance from a path and angle to it at which a vehicle obstructs vehicles on that path [m, rad]
-BESIDE, ALIGNED = 1.0, 0.3
+BESIDE = 1.0
+ALIGNED = 0.3
 # distance of both vehicles before the zone at which the direction of approach is determined [m]
 APPROACH = 20.0
 # Limits for the angle between two directions of approach [rad]. Above the first limit, vehicles come from opposite
 # directions. Below the second, they come side by side. In a roundabout, the angle is three quarters of pi, and a
 # circulating vehicle comes from the left.
-OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
+OPPOSITE = 0.85 * math.pi
+ALONGSIDE = 0.25 * math.pi
 # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
 STRAIGHTER = 0.2
 # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
@@ -428,7 +431,8 @@ class Meeting(NamedTuple):
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
     """Yield the conflicts between two paths, ordered along the second path."""
     wide = boxes_touch(a, b, pairs, WIDER)
-    i, j = pairs[0][wide], pairs[1][wide]
+    i = pairs[0][wide]
+    j = pairs[1][wide]
     # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])

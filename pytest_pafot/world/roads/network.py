@@ -175,11 +175,16 @@ class NetworkRoad(Road):
             return [value for each in columns for value in getattr(each, name)]
 
         line = self.line
-        shape = ("across", "direction", "lean", "speed", "sharpest")
         return Bends(
             (line.x.tolist(), line.y.tolist(), line.heading.tolist()),
             (joined("exists"), joined("part")),
-            tuple(map(joined, shape)),
+            (
+                joined("across"),
+                joined("direction"),
+                joined("lean"),
+                joined("speed"),
+                joined("sharpest"),
+            ),
             [lane.width for lane in self.lanes],
             self.lane_width,
         )
@@ -319,14 +324,18 @@ class NetworkRoad(Road):
         apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
         if not is_turned:
             is_near = apart.min() < self.lane_width / 2
-            return "crosses" if is_near else None
+            if is_near:
+                return "crosses"
+            return None
         # The two halves of a roundabout connect the same two nodes, as do the two directions of a road. But where the
         # two halves meet, they have the same direction.
         here, there = np.unravel_index(int(apart[:-1].argmin()), apart[:-1].shape)
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
         ahead = x * math.cos(heading) + y * math.sin(heading)
-        return "oncoming" if ahead < 0 else None
+        if ahead < 0:
+            return "oncoming"
+        return None
 
 
 LaneIndex = tuple[str, str, int]

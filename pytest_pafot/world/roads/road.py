@@ -189,7 +189,8 @@ class StraightRoad(Road):
     _cells: tuple[frozenset[Cell], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        first, count = self.lanes[0], len(self.lanes)
+        first = self.lanes[0]
+        count = len(self.lanes)
         cells = tuple(
             frozenset(cell for cell in Cell if 0 <= lane + cell.column < count)
             for lane in range(count)
@@ -293,4 +294,6 @@ class StraightRoad(Road):
     ) -> Sensor:
         sizes = [(each.length, each.width) for each in places.vehicles]
         observer = Observer(record, sizes, self.grid, self.speed_limit, *rates, *self._origin)
-        return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed)
+        if sight is None:
+            return observer
+        return ImperfectSensor(observer, sight, scenario.seed)

@@ -65,12 +65,14 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     Raises:
         WorldError: if grid coordinates cannot be used on the road.
     """
-    network, ego = env.road.network, env.vehicle
+    network = env.road.network
+    ego = env.vehicle
     index, at = _start(network, ego, name)
     pieces, first = way_of(
         network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND
     )
-    line, speed = line_of(pieces), float(ego.speed)
+    line = line_of(pieces)
+    speed = float(ego.speed)
     # the line is the ego's path, and the strips are the lanes along it
     strips = _strips(network, pieces, line, speed)
     curvature = curvature_of(line)
@@ -177,8 +179,12 @@ def _beside(
     network: Any, piece: Piece, line: Line, point: int
 ) -> dict[int, tuple[float, Any, float]]:
     # By number, for each lane at a point of the line: the lateral distance, the lane and the position along the lane.
-    x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
-    place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
+    x = float(line.x[point])
+    y = float(line.y[point])
+    heading = float(line.heading[point])
+    place = np.array([x, y])
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     origin, end, own = piece.index
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
@@ -222,14 +228,16 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
 
 def _bridge(strip: _Strip) -> None:
     for before, after in pairwise(_parts(strip.exists)):
-        last, following = before[-1], after[0]
+        last = before[-1]
+        following = after[0]
         is_near = (following - last) * STEP <= BRIDGED
         if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
             between = np.arange(last + 1, following)
             strip.across[between] = np.interp(
                 between, [last, following], strip.across[[last, following]]
             )
-            strip.limit[between], strip.width[between] = strip.limit[last], strip.width[last]
+            strip.limit[between] = strip.limit[last]
+            strip.width[between] = strip.width[last]
             strip.exists[between] = True
 
 
@@ -253,7 +261,9 @@ def _drop_broken(strip: _Strip, line: Line) -> None:
 
 def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
     indices = np.flatnonzero(exists)
-    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if indices.size else []
+    if indices.size:
+        return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+    return []
 
 
 def _course(
@@ -322,11 +332,9 @@ def _columns(
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
             # NPCs stop where a lane ends before the line ends, and where the ego's lane is a dead end.
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
-            stops = (
-                None
-                if goes_on
-                else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
-            )
+            stops = None
+            if not goes_on:
+                stops = float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(
                 curvature, strip.limit[part], stops, lengths, limits
             )
@@ -404,14 +412,18 @@ def straight_along(
     """
     first = lines[0]
     heading = math.atan2(*(first[-1] - first[0])[::-1])
-    cos, sin = math.cos(heading), math.sin(heading)
-    begin, end = 0.0, math.inf
+    cos = math.cos(heading)
+    sin = math.sin(heading)
+    begin = 0.0
+    end = math.inf
     for number, line in enumerate(lines):
         moved = line - first[0]  # along and across the first line
-        along, across = moved @ np.array([cos, sin]), moved @ np.array([-sin, cos])
+        along = moved @ np.array([cos, sin])
+        across = moved @ np.array([-sin, cos])
         if np.abs(across - number * width).max() > ALMOST or (np.diff(along) <= 0.0).any():
             return None
-        begin, end = max(begin, float(along[0])), min(end, float(along[-1]))
+        begin = max(begin, float(along[0]))
+        end = min(end, float(along[-1]))
         if abs(along[0]) > width or abs(along[-1] - np.hypot(*(first[-1] - first[0]))) > width:
             return None  # a lane that starts or ends at another position
     x, y = first[0] + begin * np.array([cos, sin])
@@ -449,13 +461,16 @@ def network_of(
     # in each section, each lane is a straight line or a circle through both ends
     for number, (here, there) in enumerate(pairwise(range(len(stations)))):
         for way, turn in zip(ways, turns, strict=True):
-            start, end, angle = way[here], way[there], float(turn[there] - turn[here])
+            start = way[here]
+            end = way[there]
+            angle = float(turn[there] - turn[here])
             if not np.isfinite([*start, *end]).all():
                 continue
             if not abs(angle) > STRAIGHT:
                 network.add_lane(str(number), str(number + 1), StraightLane(start, end, **common))
                 continue
-            chord, (dx, dy) = math.dist(start, end), end - start
+            chord = math.dist(start, end)
+            (dx, dy) = end - start
             radius = chord / (2.0 * math.sin(abs(angle) / 2.0))
             side = math.copysign(1.0, angle)  # 1 to the right, where y is positive
             toward = math.atan2(dy, dx) + side * math.pi / 2
@@ -472,11 +487,9 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
         across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
         if np.isnan(across).all():
             continue
-        apart, least, most = (
-            float(np.nanmedian(across)),
-            float(np.nanmin(across)),
-            float(np.nanmax(across)),
-        )
+        apart = float(np.nanmedian(across))
+        least = float(np.nanmin(across))
+        most = float(np.nanmax(across))
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
             expected = (
                 f"a lane {width:g} m to the right of lanes[{number - 1}] along its entire length"
@@ -524,7 +537,8 @@ def _curve(line: FloatArray) -> FloatArray:
     part = np.clip(np.searchsorted(places, wanted, side="right") - 1, 0, len(steps) - 1)
     share = ((wanted - places[part]) / steps[part])[:, None]
     length = steps[part][:, None]
-    square, cube = share**2, share**3
+    square = share**2
+    cube = share**3
     curve: FloatArray = (
         (2 * cube - 3 * square + 1) * line[part]
         + (cube - 2 * square + share) * length * slopes[part]
