@@ -102,7 +102,9 @@ def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated
     """
     found = set()
     for (own, condition), (other, its) in zip(
-        _in_order(evaluated), _in_order(others), strict=False
+        _in_order(evaluated),
+        _in_order(others),
+        strict=False,
     ):
         if condition != its:
             break

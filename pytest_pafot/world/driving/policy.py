@@ -228,7 +228,9 @@ class Perception(Sight):
             fix = "pass a function or class that returns an ADS, as in `pafot.Perception(MyPlanner, latency=0.3)`"
         if fix:
             raise refused_policy(
-                "a factory that returns a new ADS for each scenario", safe_repr(self.ads), fix
+                "a factory that returns a new ADS for each scenario",
+                safe_repr(self.ads),
+                fix,
             )
 
     @property
@@ -343,7 +345,9 @@ class Ads:
             received = "a policy that uses an environment's observations"
             fix = "to make these imperfect, write a wrapper"
             raise refused_policy(
-                "the ADS in a pafot.Perception to be a planner in SI units", received, fix
+                "the ADS in a pafot.Perception to be a planner in SI units",
+                received,
+                fix,
             )
         return self.decides
 
@@ -667,8 +671,13 @@ def changed(
         # the nearest lane may have changed
         aside = [abs(centre - (was.y + y)) for centre in observation.lane_centres]
         others[place] = was._replace(
-            x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside))
+            x=was.x + x,
+            y=was.y + y,
+            speed=was.speed + speed,
+            lane=aside.index(min(aside)),
         )
     return observation.replace(
-        others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral)
+        others=tuple(others),
+        ids=tuple(ids),
+        lateral_velocities=tuple(lateral),
     )

@@ -216,7 +216,9 @@ class TrafficClass:
     def _with(self, own: Mapping[str, Any]) -> Any:
         body = {"__slots__": (), "__module__": self.seen.__module__, **own}
         return types.new_class(
-            self.seen.__name__, (self.seen,), exec_body=lambda names: names.update(body)
+            self.seen.__name__,
+            (self.seen,),
+            exec_body=lambda names: names.update(body),
         )
 
 
@@ -263,7 +265,12 @@ class Traffic:
     """The NPCs of a run as an environment's code sees them, as vehicles of the environment's traffic class."""
 
     def __init__(
-        self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid
+        self,
+        traffic: TrafficClass,
+        stock_road: Any,
+        ego: Any,
+        places: Places,
+        road: RoadOfGrid,
     ) -> None:
         self.vehicles: list[Any] = []
         self._network = stock_road.network
@@ -307,7 +314,9 @@ class Traffic:
     def show_targets(self) -> None:
         """Copy the NPCs' targets to the vehicles. The lanes of the vehicles must be up to date."""
         for each, npc in zip(
-            self.vehicles if self._is_controlled else (), self._npcs, strict=False
+            self.vehicles if self._is_controlled else (),
+            self._npcs,
+            strict=False,
         ):
             lane = each.lane_index
             each.target_lane_index = each.lane_index
@@ -341,7 +350,11 @@ def straight_network(
         y = index * lane_width
         types = lane.line_types
         own = StraightLane(
-            [0.0, y], [length, y], width=lane_width, line_types=types, speed_limit=speed_limit
+            [0.0, y],
+            [length, y],
+            width=lane_width,
+            line_types=types,
+            speed_limit=speed_limit,
         )
         network.add_lane("0", "1", own)
     return network
@@ -416,7 +429,10 @@ class CompiledRoad:
             route = getattr(vehicle, "route", None)
             random = self._road.np_random
             after = network.next_lane(
-                self._named[lane][0], route=route, position=here, np_random=random
+                self._named[lane][0],
+                route=route,
+                position=here,
+                np_random=random,
             )
             return numbers[after], routed()
 
@@ -430,7 +446,12 @@ class CompiledRoad:
         body: GoalVehicle
         if isinstance(self._lanes, Network):
             body = NetworkVehicle(
-                constants_of(vehicle), self._lanes, following, routed(), route, self._searched
+                constants_of(vehicle),
+                self._lanes,
+                following,
+                routed(),
+                route,
+                self._searched,
             )
         else:
             body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
@@ -498,7 +519,11 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
 
 
 def egos_rules(
-    road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any
+    road: Any,
+    model: GoalVehicle,
+    places: Places,
+    rules: Rules,
+    network: Any,
 ) -> EgosRoadRules | None:
     """Return a regulated road's rules for an ego driven by ``model``, or None for other roads."""
     way = rules.road

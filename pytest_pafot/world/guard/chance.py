@@ -73,7 +73,11 @@ def _of_torch(torch: Any) -> _Generator:
         return lambda: float(torch.rand((), generator=own))
 
     return _Generator(
-        state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded
+        state,
+        give_back,
+        partial(_seed_torch, torch),
+        lambda: float(torch.rand(())),
+        seeded,
     )
 
 

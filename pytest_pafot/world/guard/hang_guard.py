@@ -359,7 +359,9 @@ class _Watchdog:
             if self._thread is None:
                 self._pause = guard.pause
                 self._thread = threading.Thread(
-                    target=self._run, name="pafot-hang-guard", daemon=True
+                    target=self._run,
+                    name="pafot-hang-guard",
+                    daemon=True,
                 )
                 self._thread.start()
             elif guard.pause < self._pause:

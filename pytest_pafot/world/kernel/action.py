@@ -179,7 +179,10 @@ def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
         return command
     if command.speed is None:
         return LaneCommand(
-            lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk
+            lane=lane,
+            acceleration=value,
+            lateral_acceleration=most,
+            lateral_jerk=jerk,
         )
     return LaneCommand(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
 

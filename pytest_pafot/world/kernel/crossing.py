@@ -132,9 +132,8 @@ class CrossingNpc(Body):
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
                 # from the mean speed over a step, with a lower limit, so that stops take a finite time
-                times[point] = times[point - 1] + 2.0 * STEP / max(
-                    speeds[point] + speeds[point - 1], 2e-3
-                )
+                both = max(speeds[point] + speeds[point - 1], 2e-3)
+                times[point] = times[point - 1] + 2.0 * STEP / both
 
     def lasts(self, since: float, until: float) -> float:
         """Return the time [s] from one position to another at the planned speeds."""
@@ -230,19 +229,18 @@ class JunctionDirector(BaseDirector):
         mine = names[number]
         conflicts = []
         leaders = []
+        own_excess = self._vehicles[number].length - CAR.length
         for other, theirs in enumerate(names):
             # the director of the grid handles pairs of vehicles on the ego's path
             if other == number or mine == theirs == EGOS:
                 continue
             if other > 0:
-                sizes = [self._vehicles[each].length - CAR.length for each in (number, other)]
-                conflicts += [
-                    SharedPlace(
-                        other, *(longer(*each) for each in zip(stretches, sizes, strict=True))
-                    )
-                    for stretches in self._junction.stretches(mine, theirs)
-                ]
-            if (places := self._junction.places(mine, theirs)) is not None:
+                excess = self._vehicles[other].length - CAR.length
+                for own, its in self._junction.stretches(mine, theirs):
+                    conflict = SharedPlace(other, longer(own, own_excess), longer(its, excess))
+                    conflicts.append(conflict)
+            places = self._junction.places(mine, theirs)
+            if places is not None:
                 leaders.append(LeaderAhead(other, places))
         return conflicts, leaders
 
@@ -261,23 +259,25 @@ class JunctionDirector(BaseDirector):
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
-        return self._with_crossing(() if self._grid is None else self._grid.driven_cells)
-
-    def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
-        others = iter(rows)
-        if rows:
-            return tuple(next(others) if each is None else () for each in self._scenario.crossings)
-        return ()
+        if self._grid is None:
+            return ()
+        cells = self._grid.driven_cells
+        if not cells:
+            return ()
+        on_grid = iter(cells)
+        return tuple(next(on_grid) if each is None else () for each in self._scenario.crossings)
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        others = iter(() if self._grid is None else self._grid.arrivals)
-        return tuple(
-            (npc.entered if npc.entered >= 0 else None,)
-            if isinstance(npc, CrossingNpc)
-            else next(others)
-            for npc in self.npcs
-        )
+        rows: list[tuple[int | None, ...]] = []
+        for npc in self.npcs:
+            if isinstance(npc, Npc):
+                rows.append(tuple(npc.arrivals))
+            elif npc.entered == NEVER:
+                rows.append((None,))
+            else:
+                rows.append((npc.entered,))
+        return tuple(rows)
 
     def first_cells(self) -> tuple[Cell, ...]:
         if self._grid is None:
@@ -285,7 +285,7 @@ class JunctionDirector(BaseDirector):
         return self._grid.first_cells()
 
     def started(self, starts: list[Start]) -> list[Start]:
-        on_grid = iter(starts if self._grid is None else self._grid.started(starts))
+        on_grid = iter(starts)
         return [
             self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs
         ]
@@ -296,10 +296,8 @@ class JunctionDirector(BaseDirector):
         # just after a bend, there is still slip
         turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
-        return along, (
-            *track.pose(along),
-            min(track.value(npc.speeds, along), fastest, npc.driver.top_speed),
-        )
+        speed = min(track.value(npc.speeds, along), fastest, npc.driver.top_speed)
+        return along, (*track.pose(along), speed)
 
     def command(self, ego: Body) -> None:
         self._vehicles[0] = ego
@@ -329,10 +327,11 @@ class JunctionDirector(BaseDirector):
             along = leader.place(theirs.x)
             if math.isnan(along):
                 continue
-            front, rear = (theirs, npc) if along > npc.x else (npc, theirs)
-            if not clear_to_enter(
-                abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed
-            ):
+            closing_speed = theirs.speed - npc.speed
+            if along > npc.x:  # it is ahead of the NPC
+                closing_speed = npc.speed - theirs.speed
+            gap = abs(along - npc.x) - (npc.length + theirs.length) / 2.0
+            if not clear_to_enter(gap, closing_speed):
                 return False
         return True
 
@@ -382,12 +381,10 @@ class JunctionDirector(BaseDirector):
             # A positive slot means after the ego, a negative slot before the ego, and 0 together with the ego.
             if npc.slot > 0.0:
                 due = last + npc.slot
+            elif npc.slot < 0.0:
+                due = first + npc.slot - crossing
             else:
-                due = (
-                    first + npc.slot - crossing
-                    if npc.slot < 0.0
-                    else (first + last - crossing) / 2.0
-                )
+                due = (first + last - crossing) / 2.0
             # limited to a time that the NPC can reach within SLOWEST and FASTEST
             if npc.act != LATE:
                 left = npc.lasts(npc.x, npc.enters)
@@ -424,7 +421,11 @@ class JunctionDirector(BaseDirector):
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(
-        self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float
+        self,
+        mine: Body,
+        index: int,
+        conflicts: list[SharedPlace],
+        wanted: float,
     ) -> float:
         """Limit a desired speed [m/s] so that an NPC gives way if another NPC would reach a conflict at the same time.
 
@@ -442,17 +443,15 @@ class JunctionDirector(BaseDirector):
                 comes = self._time_to(theirs, conflict.its_begins)
             if comes > self._time_to(mine, conflict.ends) + APART:  # this NPC passes first
                 continue
-            if (
-                self._time_to(mine, conflict.begins)
-                > self._time_to(theirs, conflict.its_ends) + APART
-            ):
+            leaves = self._time_to(theirs, conflict.its_ends)
+            if self._time_to(mine, conflict.begins) > leaves + APART:
                 continue
             room = conflict.begins - MARGIN - mine.x
             if not is_in:  # an NPC that can no longer stop does not have to give way
+                if not can_stop(room + MARGIN, mine.speed):
+                    continue
                 can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
-                if not can_stop(room + MARGIN, mine.speed) or (
-                    can_wait and conflict.other > index + 1
-                ):
+                if can_wait and conflict.other > index + 1:
                     continue
             wanted = min(wanted, stopping_speed(room, mine.speed))
         return wanted
@@ -478,10 +477,13 @@ class JunctionDirector(BaseDirector):
         lean = track.value(track.lean, npc.x)
         later = npc.x + npc.speed * self._dt
         turn = track.value(track.heading, later) + track.value(track.lean, later) - direction - lean
+        course = 0.0
+        if self._tick:
+            course = npc.course - direction
         npc.steering = npc.driver.steering_in_bend(
             npc.y,
             npc.heading,
-            npc.course - direction if self._tick else 0.0,
+            course,
             npc.speed,
             lean,
             turn,

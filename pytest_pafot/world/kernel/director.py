@@ -74,7 +74,13 @@ BETWEEN_LANES = 0.5
 class Npc(Body):
     """An NPC in road coordinates, with the data that a director stores about it."""
 
-    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
+    def __init__(
+        self,
+        index: int,
+        chain: Chromosome,
+        length: float,
+        width: float,
+    ) -> None:
         super().__init__(length, width)
         self.driver: Any = None
         self.limits: Any = None
@@ -176,7 +182,11 @@ class Director(BaseDirector):
                 own = limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(
-                    own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed
+                    own,
+                    top_speed,
+                    npc.length,
+                    1 / physics_hz,
+                    traffic.lateral_speed,
                 )
                 # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
                 half_lengths = (ego_length + npc.length) / 2.0
@@ -237,14 +247,16 @@ class Director(BaseDirector):
 
     def first_cells(self) -> tuple[Cell, ...]:
         """Return the cells in which the NPCs start, with impossible cells replaced."""
-        existing = self._first_existing()
         # NPCs on the grid come first. The other NPCs get the remaining cells.
-        held = self._repaired(
-            None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0
-        )
+        held = self._first_on_grid()
+        remaining = self._first_existing().difference(held)
         on_grid = iter(held)
-        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
+        free = iter([cell for cell in LANE_STARTS if cell in remaining])
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
+
+    def _first_on_grid(self) -> tuple[Cell, ...]:
+        wanted = [npc.chain[0].cell for npc in self._on_grid]
+        return self._repaired(None, wanted, self._first_existing(), self._on_grid, 0)
 
     def command(self, ego: Body) -> None:
         if self._left == 0:
@@ -292,13 +304,7 @@ class Director(BaseDirector):
             wanted = [npc.chain[gene].cell for npc in active]
             cells = self._repaired(before, wanted, self._existing(ego), active, gene)
         else:
-            cells = tuple(
-                [
-                    cell
-                    for npc, cell in zip(self.npcs, self.first_cells(), strict=True)
-                    if npc in active
-                ]
-            )
+            cells = self._first_on_grid()
             for npc in self.npcs:
                 npc.heading_for = npc.lane
         for npc, cell in zip(active, cells, strict=True):
@@ -370,7 +376,10 @@ class Director(BaseDirector):
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(
-            npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed
+            npc.y - goal * self._lane_width,
+            npc.heading,
+            npc.course,
+            npc.speed,
         )
         npc.course = driver.course
 
@@ -395,17 +404,14 @@ class Director(BaseDirector):
         """Limit a desired speed [m/s] according to the driving style and the gap to an ego ahead."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
-        is_behind = npc.x < ego.x and (
-            abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
-            or (npc.heading_for == ego.lane and npc.lane != ego.lane)
-        )
-        if not is_behind:
+        is_in_track = abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
+        moves_in = npc.heading_for == ego.lane and npc.lane != ego.lane
+        if npc.x >= ego.x or not (is_in_track or moves_in):
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
-            has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(
-                ego.speed * ego.heading
-            )
+            sideways = abs(npc.speed * npc.heading)
+            has_moved_in = self._tick == 0 or sideways >= abs(ego.speed * ego.heading)
             npc.behind = 0
             if has_moved_in:
                 npc.behind = self._reaction
@@ -555,7 +561,12 @@ class NetworkDirector(Director):
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
         lanes = Lanes(road.lane_count, road.lane_width, road.end)
         super().__init__(
-            scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common
+            scenario,
+            lanes,
+            narrower,
+            speed_limit=road.speed_limit,
+            cells=(),
+            **common,
         )
         self.skips = True
         self._road: Any = road
@@ -581,7 +592,7 @@ class NetworkDirector(Director):
         cells = [tuple(npc.executed) for npc in self._on_grid]
         written = super().executed
         is_written = all(
-            [gene.cell for gene in chain[: len(row)]] == list(row)
+            tuple([gene.cell for gene in chain[: len(row)]]) == row
             for chain, row in zip(written.positions, cells, strict=True)
         )
         if is_written:
@@ -596,7 +607,9 @@ class NetworkDirector(Director):
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
         existing: frozenset[Cell] = self._road.cells(
-            ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego)
+            ego.x,
+            ego.lane,
+            (self._row + self._clearance) / self._stretch(ego),
         )
         return existing
 
@@ -651,13 +664,15 @@ class NetworkDirector(Director):
         if npc.kept_lane < 0 <= shift:
             self._keep_shift_lane_if_there(npc, shift * self._width_of_lanes)
         elif npc.kept_lane < 0:
-            exists = self._bends.exists(target_lane, target)
-            self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
+            due_lane = target_lane
+            if not self._bends.exists(target_lane, target):
+                due_lane = NO_LANE
+            self._keep_lane_if_due(npc, due_lane, distance)
         # If the goal is a lane, the desired speed is the instruction's. If it is a cell, it depends on the ego's speed.
         if npc.kept_lane >= 0 or shift >= 0:
-            return self._next_lane(
-                npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego
-            ), npc.kept_speed
+            if npc.kept_lane >= 0:
+                shift = npc.kept_lane
+            return self._next_lane(npc, shift, ego), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
         wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
         if goal != npc.lane:

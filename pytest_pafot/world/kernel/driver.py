@@ -179,7 +179,13 @@ class NpcDriver:
             return release
         return acceleration
 
-    def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
+    def steering(
+        self,
+        offset: float,
+        heading: float,
+        course: float,
+        speed: float,
+    ) -> float:
         """Return the steering angle [rad] towards the centre of a lane, for highway-env's bicycle model.
 
         ``offset`` is the distance [m] to the right of the lane's centre. ``heading`` [rad] and ``course`` [rad], the
@@ -218,7 +224,9 @@ class NpcDriver:
         planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(
-            LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed
+            LATERAL_GAIN * distance,
+            math.sqrt(2.0 * planned * distance),
+            self._lateral_speed,
         )
         # The heading follows the course with a delay and must not exceed its own limit, so the lean reduces the angle.
         bound = min(
@@ -254,7 +262,13 @@ class LaneTracker:
         self._gain = min(TRACKING_GAIN, 0.5 / dt)
         self._course = self._acceleration = self._angle = 0.0  # course is heading plus slip
 
-    def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
+    def begin(
+        self,
+        heading: float,
+        angle: float,
+        speed: float,
+        most: float,
+    ) -> None:
         """Start with a car's heading [rad], steering angle [rad] and speed [m/s], and its lateral limit [m/s^2]."""
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
@@ -263,7 +277,12 @@ class LaneTracker:
         self._angle = angle
 
     def steering(
-        self, offset: float, heading: float, speed: float, most: float, jerk: float
+        self,
+        offset: float,
+        heading: float,
+        speed: float,
+        most: float,
+        jerk: float,
     ) -> float:
         """Return the steering angle [rad] for the coming tick, for highway-env's bicycle model.
 

@@ -66,7 +66,14 @@ class GoalVehicle(Body):
         self.timer = 0.0  # time since the last decision about lanes [s]
         self._routed = -1  # lane that the route requires, counted from the left; -1 for none
 
-    def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
+    def start(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        speed: float,
+        changes_lanes: bool,
+    ) -> None:
         """Start a run at x [m], y [m], heading [rad] and speed [m/s]. The speed is also the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
@@ -195,7 +202,13 @@ class GoalVehicle(Body):
     def _steering(self) -> float:
         offset = self.y - self.goal * self._lanes.width
         angle = lane_steering(
-            offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+            offset,
+            0.0,
+            self.heading,
+            self.speed,
+            self.length,
+            self._kp_heading,
+            self._kp_lateral,
         )
         return clamp(angle, self._max_steering)
 
@@ -308,7 +321,13 @@ class NetworkVehicle(GoalVehicle):
         offset = network.across
         ahead = network.heading_at(goal, network.along + self.speed * PURSUIT)
         angle = lane_steering(
-            offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+            offset,
+            ahead,
+            self.heading,
+            self.speed,
+            self.length,
+            self._kp_heading,
+            self._kp_lateral,
         )
         return clamp(angle, self._max_steering)
 
@@ -382,7 +401,9 @@ class EgosRoadRules:
             npc = self._places.vehicles[number]
             for moment in range(MOMENTS):
                 self._foresee_npc(
-                    3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1)
+                    3 * (MOMENTS + moment),
+                    self._places.bodies[number],
+                    APART * (moment + 1),
                 )
             if self._conflict(ego, npc) and self._comes_second(ego, npc):
                 ego.target_speed = 0.0
@@ -411,7 +432,13 @@ class EgosRoadRules:
             network.position(at, along, 0.0)
             self._foresee(3 * moment, network.x, network.y, network.heading_at(at, along))
 
-    def _foresee(self, row: int, x: float, y: float, heading: float) -> None:
+    def _foresee(
+        self,
+        row: int,
+        x: float,
+        y: float,
+        heading: float,
+    ) -> None:
         self._predicted[row] = x
         self._predicted[row + 1] = y
         self._predicted[row + 2] = heading
@@ -431,7 +458,13 @@ class EgosRoadRules:
             its_row += 3
         return False
 
-    def _has_corner_inside(self, one: Body, row: int, other: Body, its_row: int) -> bool:
+    def _has_corner_inside(
+        self,
+        one: Body,
+        row: int,
+        other: Body,
+        its_row: int,
+    ) -> bool:
         """Return whether a corner, a side's midpoint or the centre of one box is inside another, as in highway-env."""
         predicted = self._predicted
         cos = math.cos(predicted[row + 2])

@@ -155,7 +155,13 @@ class Network:
                     nearest = lane
         return nearest
 
-    def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
+    def is_on(
+        self,
+        lane: int,
+        x: float,
+        y: float,
+        margin: float,
+    ) -> bool:
         """Locate a point, and return whether it is on a lane that is widened on each side by ``margin`` [m]."""
         self.locate(lane, x, y)
         inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
@@ -209,7 +215,12 @@ class Table:
         self._sees_intentions: bool = options.observe_intentions
 
     def observe(
-        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int
+        self,
+        ego: Any,
+        vehicles: list[Any],
+        objects: list[Any],
+        reach: float,
+        exit_lane: int,
     ) -> Any:
         """Return the observation as a float32 array of shape [vehicles, features].
 
@@ -246,7 +257,11 @@ class Table:
         return made
 
     def _nearest(
-        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float
+        self,
+        ego: Any,
+        vehicles: list[Any],
+        objects: list[Any],
+        reach: float,
     ) -> list[tuple[float, int, Any]]:
         network = self._network
         lane = self._lanes[ego.lane]

@@ -32,7 +32,14 @@ TRACK_COLUMNS = 5  # values per vehicle and tick in Trace.track
 class Box:
     """A rectangle with a centre [m], a heading [rad], a length [m] and a width [m]."""
 
-    def __init__(self, x: float, y: float, heading: float, length: float, width: float) -> None:
+    def __init__(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        length: float,
+        width: float,
+    ) -> None:
         self.x = x
         self.y = y
         self.heading = heading
@@ -50,7 +57,13 @@ class Body(Box):
         # nearest lane, updated after all bodies have moved; not used for crossing vehicles
         self.lane = 0
 
-    def place(self, x: float, y: float, heading: float, speed: float) -> None:
+    def place(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        speed: float,
+    ) -> None:
         """Set the position [m], the heading [rad] and the speed [m/s]."""
         self.x = x
         self.y = y
@@ -308,7 +321,13 @@ class Bends:
         self._y0 = self._y[index] + share * (self._y[index + 1] - self._y[index])
         self._direction0 = self._heading[index] + turned
 
-    def locate(self, x: float, y: float, heading: float, near: float) -> None:
+    def locate(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        near: float,
+    ) -> None:
         """Locate a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
 
         ``near`` is a position [m] close to the vehicle, which is needed because a road can cross itself.
@@ -558,7 +577,13 @@ class Places:
             bends.locate(ego.x, ego.y, ego.heading, self._along[0])
             record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
 
-    def _on_own_way(self, vehicle: Body, body: Body, way: Track, number: int) -> int:
+    def _on_own_way(
+        self,
+        vehicle: Body,
+        body: Body,
+        way: Track,
+        number: int,
+    ) -> int:
         way.locate(vehicle.x, vehicle.y, self._along[number])
         along = self._along[number] = way.along
         turned = vehicle.heading - way.direction
@@ -578,7 +603,12 @@ class Places:
         return self._ways[number]
 
     def is_on_way(
-        self, way: Track | None, x: float, y: float, heading: float, along: float
+        self,
+        way: Track | None,
+        x: float,
+        y: float,
+        heading: float,
+        along: float,
     ) -> bool:
         """Locate a vehicle along the ego's path, and return whether it is on that path."""
         bends: Bends = self._bends

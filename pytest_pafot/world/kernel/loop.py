@@ -245,7 +245,13 @@ class Loop:
     :meth:`command` before it moves the vehicles, and :meth:`moved` afterwards.
     """
 
-    def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
+    def __init__(
+        self,
+        director: Any,
+        places: Places,
+        record: Any,
+        dt: float,
+    ) -> None:
         self.tick = 0
         # replaces the states of all vehicles after each tick with those from a simulator; None in most runs
         self.simulation: Any = None

@@ -453,7 +453,7 @@ class RoadSensor(Sensor):
                 lateral.append(self._drift)
                 continue
             zone = self._zones[npc]
-            (length, width) = self._sizes[npc + 1]
+            length, width = self._sizes[npc + 1]
             dx = its_x - x
             dy = its_y - y
             turned = its_heading - heading
@@ -489,12 +489,17 @@ class RoadSensor(Sensor):
         )
 
     def _state(
-        self, number: int, speed: float, steering: float, own: float, stretch: float
+        self,
+        number: int,
+        speed: float,
+        steering: float,
+        own: float,
+        stretch: float,
     ) -> VehicleState:
         # The state, on the straightened road, of the vehicle that was located last.
         bends = self._bends
         own_bends = self._leaning[number]
-        (length, width) = self._sizes[number]
+        length, width = self._sizes[number]
         along = bends.along
         lane = bends.lane
         # the mean of the stretches at both vehicles applies to the distance

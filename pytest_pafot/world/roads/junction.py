@@ -209,7 +209,11 @@ class JunctionRoad(NetworkRoad):
         return vehicle.can_follow(self.crossings.ways[zone].sharpest)
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         if not scenario.crossings:
             return super().director(scenario, limits, cells, **common)
@@ -486,7 +490,11 @@ def _relative(
 
 
 def _places(
-    a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float
+    a: Course,
+    b: Course,
+    pairs: tuple[IntArray, IntArray],
+    beside: float,
+    turned: float,
 ) -> FloatArray:
     """Return, for each point of path ``b``, the position [m] along path ``a``, or NaN.
 
@@ -514,7 +522,12 @@ def _driven(wanted: list[float], limits: NpcLimits) -> FloatArray:
 
 
 def _zone(
-    name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting
+    name: str,
+    road: NetworkRoad,
+    line: Line,
+    lanes: Sequence[LaneIndex],
+    network: Any,
+    met: Meeting,
 ) -> Zone:
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
     origin = _origin(wrap_angle(float(line.heading[there] - road.line.heading[here])))

@@ -199,7 +199,12 @@ class NetworkRoad(Road):
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
     def beside(
-        self, network: Any, x: float, y: float, lane: int, along: float
+        self,
+        network: Any,
+        x: float,
+        y: float,
+        lane: int,
+        along: float,
     ) -> tuple[int, Outcome | None]:
         """Return the index of the lane of an ego that is on no lane of its path, and the outcome of the run.
 
@@ -237,7 +242,13 @@ class NetworkRoad(Road):
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
         return all(vehicle.can_follow(max(column.sharpest)) for column in self.columns)
 
-    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
+    def start_speed(
+        self,
+        wanted: float,
+        lane: int,
+        along: float,
+        vehicle: VehicleType,
+    ) -> float:
         bends = self.bends_of(vehicle)
         # Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and the faster it drives,
         # the faster it turns.
@@ -247,7 +258,11 @@ class NetworkRoad(Road):
         return min(wanted, bends.speed_at(lane, along), fastest)
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         return NetworkDirector(scenario, self, limits, start_cells=cells, **common)
 
@@ -421,7 +436,12 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     found = None
     for end, wanted in ends:
         chosen, distance = network.next_lane_given_next_road(
-            origin, node, number, end, wanted, deciding
+            origin,
+            node,
+            number,
+            end,
+            wanted,
+            deciding,
         )
         index = node, end, chosen
         lane = network.get_lane(index)

@@ -120,7 +120,13 @@ class Road(ABC):
         """Return whether a vehicle can follow all bends of the ego's path or of the path with the given zone."""
         return True
 
-    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
+    def start_speed(
+        self,
+        wanted: float,
+        lane: int,
+        along: float,
+        vehicle: VehicleType,
+    ) -> float:
         """Limit the start speed [m/s] of an NPC to the speed that the road allows."""
         return wanted
 
@@ -128,7 +134,11 @@ class Road(ABC):
 
     @abstractmethod
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         """Create the director of the NPCs, which can start in ``cells``."""
 
@@ -205,7 +215,11 @@ class StraightRoad(Road):
 
     @classmethod
     def uniform(
-        cls, lanes: int, length: float, lane_width: float, speed_limit: float
+        cls,
+        lanes: int,
+        length: float,
+        lane_width: float,
+        speed_limit: float,
     ) -> StraightRoad:
         """Create a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
         return cls(
@@ -265,10 +279,19 @@ class StraightRoad(Road):
         return self._cells[lane]
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director:
         return Director(
-            scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common
+            scenario,
+            self.grid,
+            limits,
+            speed_limit=self.speed_limit,
+            cells=self._cells,
+            **common,
         )
 
     def places(

@@ -24,6 +24,7 @@ from pytest_pafot.world.roads.network import (
     Piece,
     Shaped,
     allowed_speeds,
+    distances,
     is_dead_end,
     leans,
     line_of,
@@ -69,7 +70,12 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     ego = env.vehicle
     index, at = _start(network, ego, name)
     pieces, first = way_of(
-        network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND
+        network,
+        index,
+        at,
+        getattr(ego, "route", None),
+        ahead=ahead,
+        behind=ROOM_BEHIND,
     )
     line = line_of(pieces)
     speed = float(ego.speed)
@@ -141,14 +147,12 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 def _place(line: Line, piece: int, point: FloatArray) -> float:
     # The position [m] along the line of a point on one of the line's pieces.
     # A large additional distance excludes points of other pieces.
-    distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(
-        line.piece == piece, 0.0, 1e6
-    )
+    x = point[0] - line.x
+    y = point[1] - line.y
+    distance = np.hypot(x, y) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
-    ahead = (point[0] - line.x[near]) * math.cos(heading) + (point[1] - line.y[near]) * math.sin(
-        heading
-    )
+    ahead = x[near] * math.cos(heading) + y[near] * math.sin(heading)
     return min(max(near * STEP + float(ahead), 0.0), (len(line.x) - 1) * STEP)
 
 
@@ -158,9 +162,8 @@ def _strips(
     """Return the lanes along the ego's path by number. The ego's lane is 0, and lanes to its left are negative."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
-        for number, (across, lane, longitudinal) in _beside(
-            network, pieces[owner], line, point
-        ).items():
+        beside = _beside(network, pieces[owner], line, point)
+        for number, (across, lane, longitudinal) in beside.items():
             if number not in strips:
                 strips[number] = _Strip(len(line.x))
             strip = strips[number]
@@ -188,42 +191,34 @@ def _beside(
     origin, end, own = piece.index
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
-        longitudinal = float(lane.local_coordinates(place)[0])
-        reaches = -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS
+        along = float(lane.local_coordinates(place)[0])
         if number == own:
-            found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
-        elif (
-            reaches
-            and abs(wrap_angle(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION
-        ):
-            there_x, there_y = map(float, lane.position(longitudinal, 0))
-            found.append(((there_y - y) * cos - (there_x - x) * sin, False, lane, longitudinal))
-    if len(found) == 1:
-        return {0: (0.0, found[0][2], found[0][3])}
+            own_entry = 0.0, lane, min(max(along, 0.0), float(lane.length))
+            found.append(own_entry)
+            continue
+        if not -BEYOND_ENDS <= along <= lane.length + BEYOND_ENDS:
+            continue
+        if abs(wrap_angle(float(lane.heading_at(along)) - heading)) <= SAME_DIRECTION:
+            there_x, there_y = map(float, lane.position(along, 0))
+            across = (there_y - y) * cos - (there_x - x) * sin
+            found.append((across, lane, along))
     found.sort(key=lambda each: each[0])  # from the left, with the ego's lane as number 0
-    own_rank = next(rank for rank, each in enumerate(found) if each[1])
-    return {
-        rank - own_rank: (across, lane, at)
-        for rank, (across, _, lane, at) in _neighbours(found, own_rank)
-    }
+    own_rank = found.index(own_entry)
+    return {rank - own_rank: found[rank] for rank in _adjacent(found, own_rank)}
 
 
-def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the rank and the entry of the ego's lane in ``found``, and then of the adjacent lanes on each side."""
-    yield own, found[own]
+def _adjacent(found: list[tuple[float, Any, float]], own: int) -> Iterator[int]:
+    """Yield the rank of the ego's lane in ``found``, and then the ranks of the adjacent lanes on each side."""
+    yield own
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
-            apart = abs(found[rank][0] - found[before][0])
-            width = (
-                float(
-                    found[rank][2].width_at(found[rank][3])
-                    + found[before][2].width_at(found[before][3])
-                )
-                / 2
-            )
+            across, lane, at = found[rank]
+            its_across, its_lane, its_at = found[before]
+            apart = abs(across - its_across)
+            width = float(lane.width_at(at) + its_lane.width_at(its_at)) / 2
             if not 0.6 * width < apart < 1.5 * width:  # the lanes overlap or are separated
                 break
-            yield rank, found[rank]
+            yield rank
 
 
 def _bridge(strip: _Strip) -> None:
@@ -234,7 +229,9 @@ def _bridge(strip: _Strip) -> None:
         if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
             between = np.arange(last + 1, following)
             strip.across[between] = np.interp(
-                between, [last, following], strip.across[[last, following]]
+                between,
+                [last, following],
+                strip.across[[last, following]],
             )
             strip.limit[between] = strip.limit[last]
             strip.width[between] = strip.width[last]
@@ -254,8 +251,11 @@ def _drop_broken(strip: _Strip, line: Line) -> None:
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
         # parts that are too short or too sharply curved are dropped
-        is_short = len(part) * STEP < SHORTEST_LANE
-        if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
+        if len(part) * STEP < SHORTEST_LANE:
+            strip.exists[part] = False
+            continue
+        _, _, direction, lengths = _course(line, strip.across, part)
+        if np.abs(_curvature(direction, lengths)).max() > TIGHTEST:
             strip.exists[part] = False
 
 
@@ -276,8 +276,7 @@ def _course(
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
     # Not wrap_angle(turned), which rounds differently: runs of saved scenarios would change.
     direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    return x, y, direction, lengths
+    return x, y, direction, distances(np.stack([x, y], axis=-1))
 
 
 def curvature_of(line: Line) -> FloatArray:
@@ -336,7 +335,11 @@ def _columns(
             if not goes_on:
                 stops = float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(
-                curvature, strip.limit[part], stops, lengths, limits
+                curvature,
+                strip.limit[part],
+                stops,
+                lengths,
+                limits,
             )
             lane = _lane(
                 x,
@@ -384,11 +387,9 @@ def _other_lane(lane: Any, ego_speed: float) -> Lane:
     places = np.linspace(0.0, float(lane.length), max(2, math.ceil(lane.length / STEP)))
     points = np.array([lane.position(float(place), 0) for place in places], dtype=float)
     direction = np.unwrap([float(lane.heading_at(float(place))) for place in places])
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     limit = max(lane.speed_limit or 0.0, ego_speed)
-    return _lane(
-        points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit
-    )
+    width = float(lane.width_at(lane.length / 2))
+    return _lane(points[:, 0], points[:, 1], direction, distances(points), width, limit)
 
 
 SECTION = 5.0  # length of the sections that `network_of` makes [m]
@@ -410,23 +411,24 @@ def straight_along(
             driving.
         width: the width [m] of the lanes.
     """
-    first = lines[0]
-    heading = math.atan2(*(first[-1] - first[0])[::-1])
-    cos = math.cos(heading)
-    sin = math.sin(heading)
+    origin = lines[0][0]
+    x, y = lines[0][-1] - origin
+    heading = math.atan2(y, x)
+    forward = np.array([math.cos(heading), math.sin(heading)])
+    right = np.array([-forward[1], forward[0]])
     begin = 0.0
     end = math.inf
     for number, line in enumerate(lines):
-        moved = line - first[0]  # along and across the first line
-        along = moved @ np.array([cos, sin])
-        across = moved @ np.array([-sin, cos])
+        moved = line - origin
+        along = moved @ forward
+        across = moved @ right
         if np.abs(across - number * width).max() > ALMOST or (np.diff(along) <= 0.0).any():
             return None
         begin = max(begin, float(along[0]))
         end = min(end, float(along[-1]))
-        if abs(along[0]) > width or abs(along[-1] - np.hypot(*(first[-1] - first[0]))) > width:
+        if abs(along[0]) > width or abs(along[-1] - np.hypot(x, y)) > width:
             return None  # a lane that starts or ends at another position
-    x, y = first[0] + begin * np.array([cos, sin])
+    x, y = origin + begin * forward
     return (float(x), float(y), heading), end - begin
 
 
@@ -470,7 +472,7 @@ def network_of(
                 network.add_lane(str(number), str(number + 1), StraightLane(start, end, **common))
                 continue
             chord = math.dist(start, end)
-            (dx, dy) = end - start
+            dx, dy = end - start
             radius = chord / (2.0 * math.sin(abs(angle) / 2.0))
             side = math.copysign(1.0, angle)  # 1 to the right, where y is positive
             toward = math.atan2(dy, dx) + side * math.pi / 2
@@ -497,14 +499,20 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             received = f"a lane that is {least:.1f} to {most:.1f} m to the right"
             fix = "are the lines shifted along a coordinate axis instead of across the road?"
             raise WorldError(
-                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+                field=f"{name}.lanes[{number}]",
+                expected=expected,
+                received=received,
+                fix=fix,
             )
         if apart < 0.0:
             expected = "lanes in order from left to right, as a driver sees them"
             received = f"a lane {-apart:.1f} m to the left of the previous lane"
             fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, reverse the list of lanes"
             raise WorldError(
-                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+                field=f"{name}.lanes[{number}]",
+                expected=expected,
+                received=received,
+                fix=fix,
             )
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
@@ -513,7 +521,10 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             )
             fix = "are lane_width and the points of the lanes in the unit that `metres` specifies?"
             raise WorldError(
-                field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix
+                field=f"{name}.lane_width",
+                expected=expected,
+                received=f"{width:.2f} m",
+                fix=fix,
             )
 
 
@@ -531,7 +542,7 @@ def _slopes(way: FloatArray) -> FloatArray:
 def _curve(line: FloatArray) -> FloatArray:
     """Return points about a metre apart on a smooth curve through a line's points (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
-    places = np.concatenate(([0.0], np.cumsum(steps)))
+    places = distances(line)
     slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
     wanted = np.linspace(0.0, places[-1], max(2, round(float(places[-1])) + 1))
     part = np.clip(np.searchsorted(places, wanted, side="right") - 1, 0, len(steps) - 1)
