@@ -29,6 +29,7 @@ from pytest_pafot.world.driving.vehicles import (
     TrafficClass,
     compiled_network,
     is_regulated,
+    state_of,
 )
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import hint_at
@@ -518,7 +519,7 @@ def follow(body: Body, vehicle: Any) -> None:
     Raises:
         BadAction: if the state is not finite.
     """
-    state = tuple(map(float, (*vehicle.position, vehicle.heading, vehicle.speed)))
+    state = state_of(vehicle)
     if not all(map(math.isfinite, state)):
         raise BadAction(
             f"expected a vehicle with a finite position, heading and speed, received {state}"

@@ -233,9 +233,9 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
     seen: Any = given if isinstance(given, type) else class_from_path(given)
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
         raise TypeError(f"{given!r:.100} is not a class derived from highway-env's Vehicle")
-    if own := [
-        name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))
-    ]:
+    given_by_class = {name: inspect.getattr_static(seen, name, None) for name in STATE}
+    own = [name for name, each in given_by_class.items() if inspect.isdatadescriptor(each)]
+    if own:
         raise TypeError(
             f"{seen.__name__} itself computes {', '.join(own)}, which the run has to set"
         )
@@ -313,11 +313,9 @@ class Traffic:
 
     def show_targets(self) -> None:
         """Copy the NPCs' targets to the vehicles. The lanes of the vehicles must be up to date."""
-        for each, npc in zip(
-            self.vehicles if self._is_controlled else (),
-            self._npcs,
-            strict=False,
-        ):
+        if not self._is_controlled:
+            return
+        for each, npc in zip(self.vehicles, self._npcs, strict=True):
             lane = each.lane_index
             each.target_lane_index = each.lane_index
             # The target speed is never exactly 0, because environments such as merge-v0 divide by it.
@@ -337,7 +335,9 @@ def _target_speed(npc: Any) -> float:
         return float(npc.wanted)
     if not npc.executed:
         return float(npc.chain[0].speed)
-    return float(npc.target_speed if npc.kept_lane < 0 and npc.shift_lane < 0 else npc.kept_speed)
+    if npc.kept_lane < 0 and npc.shift_lane < 0:
+        return float(npc.target_speed)
+    return float(npc.kept_speed)
 
 
 def straight_network(
@@ -469,8 +469,8 @@ class CompiledRoad:
 
     def state(self, vehicle: Any) -> tuple[float, float, float, float]:
         """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle, in the compiled coordinates."""
-        x, y = vehicle.position
-        return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
+        x, y, heading, speed = state_of(vehicle)
+        return x - self._x, y - self._y, heading, speed
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the goal and the controls of a highway-env vehicle to a compiled vehicle."""
@@ -542,7 +542,13 @@ def obstacles_on(road: Any) -> list[Body]:
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):
-            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
-            x, y = map(float, each.position)
-            bodies[-1].place(x, y, float(each.heading), float(each.speed))
+            body = StaticObstacle(float(each.LENGTH), float(each.WIDTH))
+            body.place(*state_of(each))
+            bodies.append(body)
     return bodies
+
+
+def state_of(vehicle: Any) -> tuple[float, float, float, float]:
+    """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle or object."""
+    x, y = vehicle.position
+    return float(x), float(y), float(vehicle.heading), float(vehicle.speed)

@@ -305,7 +305,7 @@ class LaneTracker:
         if lateral_speed > speed * math.sin(LANE_ANGLE):
             lateral_speed = speed * math.sin(LANE_ANGLE)
             slope = 0.0
-        missing = speed * _turn(
+        missing = speed * wrap_angle(
             math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course
         )
         wanted = self._towards(missing, TRACKING_SHARE * step) - slope * speed * math.sin(
@@ -316,7 +316,7 @@ class LaneTracker:
         self._course += self._acceleration / speed * self._dt
         # If the heading would pass the course in this tick, it is turned exactly to the course.
         reach = max(speed * self._dt / self._half_length, 1.0)
-        slip = clamp(_turn(self._course - heading) / reach, MAX_SLIP)
+        slip = clamp(wrap_angle(self._course - heading) / reach, MAX_SLIP)
         self._angle = math.atan(2.0 * math.tan(slip))
         return self._angle
 
@@ -329,5 +329,6 @@ class LaneTracker:
         )
 
 
-def _turn(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
+    """Wrap an angle [rad] to [-pi, pi)."""
     return (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN

@@ -1,9 +1,9 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.driver cimport clamp
+from pytest_pafot.world.kernel.driver cimport clamp, wrap_angle
 
 cdef int LANE_VALUES, SINE, CIRCULAR
-cdef double LANE_ENDS, HALF_TURN
+cdef double LANE_ENDS
 
 @cython.final
 cdef class Network:
@@ -38,8 +38,6 @@ cdef class Network:
     cpdef bint is_reachable(self, int lane, double x, double y) except -1
 
     cpdef bint is_after_end(self, int lane, double x, double y) except -1
-
-cpdef double wrap_angle(double angle) except? -1e300
 
 @cython.final
 cdef class Table:

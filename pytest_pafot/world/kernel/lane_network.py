@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.world.kernel.driver import clamp
+from pytest_pafot.world.kernel.driver import clamp, wrap_angle
 
 # kinds of lanes; a straight lane is 0
 SINE = 1
@@ -24,7 +24,6 @@ LANE_ENDS = 5.0
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
-HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 class Network:
@@ -181,11 +180,6 @@ class Network:
         return self.along > self.lengths[lane] - LANE_ENDS / 2.0
 
 
-def wrap_angle(angle: float) -> float:
-    """Wrap an angle [rad] to [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
 class Table:
     """The Kinematics observation, with the features of the ego and of the nearest vehicles along the ego's lane."""
 
@@ -316,8 +310,7 @@ class Table:
             self._network.locate(lane, x, y)
             values[10] = self._network.along
             values[11] = self._network.across
-            angle = heading - self._network.heading_at(lane, values[10])
-            values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+            values[12] = wrap_angle(heading - self._network.heading_at(lane, values[10]))
 
     def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
         route = getattr(vehicle, "route", None)

@@ -535,14 +535,22 @@ def distances(points: FloatArray) -> FloatArray:
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
+def bell_curve(scale: float) -> tuple[FloatArray, int]:
+    """Return weights that round off a line over a length scale [m], and their number on each side of the middle."""
+    reach = round(3 * scale / STEP)
+    places = np.arange(-reach, reach + 1) * STEP / scale
+    weights = np.exp(-0.5 * places**2)
+    return weights / weights.sum(), reach
+
+
 def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
-    reach = round(3 * BLEND / STEP)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / BLEND) ** 2)
-    kernel /= kernel.sum()
-    ends = points[0] - (points[1] - points[0]) * np.arange(reach, 0, -1)[:, None]
-    beyond = points[-1] + (points[-1] - points[-2]) * np.arange(1, reach + 1)[:, None]
-    padded = np.concatenate([ends, points, beyond])
-    smooth = np.stack([np.convolve(axis, kernel, mode="valid") for axis in padded.T], axis=-1)
+    weights, reach = bell_curve(BLEND)
+    # the line continues straight before its start and after its end
+    steps = np.arange(1, reach + 1)[:, None]
+    before = points[0] - (points[1] - points[0]) * steps[::-1]
+    after = points[-1] + (points[-1] - points[-2]) * steps
+    padded = np.concatenate([before, points, after])
+    smooth = np.stack([np.convolve(axis, weights, mode="valid") for axis in padded.T], axis=-1)
     places = np.arange(len(points))
     share = np.zeros(len(points))
     for joint in joints:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from pytest_pafot.world.roads.network import (
     Piece,
     Shaped,
     allowed_speeds,
+    bell_curve,
     distances,
     is_dead_end,
     leans,
@@ -239,11 +240,10 @@ def _bridge(strip: _Strip) -> None:
 
 
 def _smooth(strip: _Strip) -> None:
-    reach = round(3 * EVENED / STEP)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / EVENED) ** 2)
+    weights, reach = bell_curve(EVENED)
     for part in _parts(strip.exists):
         padded = np.pad(strip.across[part], reach, mode="edge")
-        strip.across[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+        strip.across[part] = np.convolve(padded, weights, mode="valid")
 
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
@@ -350,8 +350,12 @@ def _columns(
                 float(strip.limit[part].max()),
             )
             # in the trace, the first parts of all lanes come first
-            part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
-            (others if order else firsts).append(lane)
+            if order == 0:
+                part_of[part] = len(firsts)
+                firsts.append(lane)
+            else:
+                part_of[part] = len(numbers) + len(others)
+                others.append(lane)
         columns.append(
             Column(
                 exists=strip.exists.tolist(),
@@ -370,8 +374,13 @@ def _lane(
     width: float,
     speed_limit: float,
 ) -> Lane:
-    rows = sorted({*range(0, len(x), round(POINT_STEP / STEP)), len(x) - 1})
-    is_straight = bool(np.abs(direction - direction[0]).max() < 1e-9)
+    points = list(zip(x.tolist(), y.tolist(), strict=True))
+    shown = points[:: round(POINT_STEP / STEP)]
+    if shown[-1] is not points[-1]:
+        shown.append(points[-1])
+    # a straight lane needs no points
+    if np.abs(direction - direction[0]).max() < 1e-9:
+        shown = []
     return Lane(
         x=float(x[0]),
         y=float(y[0]),
@@ -379,14 +388,15 @@ def _lane(
         length=float(lengths[-1]),
         width=width,
         speed_limit=speed_limit,
-        points=() if is_straight else tuple((float(x[row]), float(y[row])) for row in rows),
+        points=tuple(shown),
     )
 
 
 def _other_lane(lane: Any, ego_speed: float) -> Lane:
-    places = np.linspace(0.0, float(lane.length), max(2, math.ceil(lane.length / STEP)))
-    points = np.array([lane.position(float(place), 0) for place in places], dtype=float)
-    direction = np.unwrap([float(lane.heading_at(float(place))) for place in places])
+    count = max(2, math.ceil(lane.length / STEP))
+    places = np.linspace(0.0, float(lane.length), count).tolist()
+    points = np.array([lane.position(place, 0) for place in places], dtype=float)
+    direction = np.unwrap([float(lane.heading_at(place)) for place in places])
     limit = max(lane.speed_limit or 0.0, ego_speed)
     width = float(lane.width_at(lane.length / 2))
     return _lane(points[:, 0], points[:, 1], direction, distances(points), width, limit)
@@ -451,13 +461,13 @@ def network_of(
     stations = longest[:: max(1, round(SECTION))]
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
-    tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
+    tangent = _gradient(stations)
     tangent /= np.hypot(*tangent.T)[:, None]
     # farther points belong to another turn of a spiral, or to a loop's other side
     reach = 2.0 * width * len(lines)
     ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
     _check_order(ways, tangent, width, name)
-    turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
+    turns = [_directions(way) for way in ways]
     network = RoadNetwork()
     common = {"width": width, "speed_limit": speed_limit}
     # in each section, each lane is a straight line or a circle through both ends
@@ -486,7 +496,8 @@ def network_of(
 
 def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, name: str) -> None:
     for number, (left, right) in enumerate(pairwise(ways), start=1):
-        across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
+        to_the_right = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+        across = ((right - left) * to_the_right).sum(axis=1)
         if np.isnan(across).all():
             continue
         apart = float(np.nanmedian(across))
@@ -528,24 +539,34 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             )
 
 
-def _slopes(way: FloatArray) -> FloatArray:
-    # The tangent vector of a lane at each point.
-    slopes = np.full_like(way, np.nan)
+def _gradient(points: FloatArray, *places: FloatArray) -> Any:
+    # at the ends of a line, tangents of a parabola, so that a bend starts with its curvature
+    edge_order: Literal[1, 2] = 1
+    if len(points) > 2:
+        edge_order = 2
+    return np.gradient(points, *places, axis=0, edge_order=edge_order)
+
+
+def _directions(way: FloatArray) -> FloatArray:
+    # The direction [rad] of a lane at each point.
+    slopes = np.zeros_like(way)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
     if len(known) > 1:
-        slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
-    slopes[np.isnan(slopes)] = 0.0
-    return slopes
+        slopes[known] = _gradient(way[known])
+    dx, dy = slopes.T
+    directions: FloatArray = np.unwrap(np.arctan2(dy, dx))
+    return directions
 
 
 def _curve(line: FloatArray) -> FloatArray:
     """Return points about a metre apart on a smooth curve through a line's points (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     places = distances(line)
-    slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
-    wanted = np.linspace(0.0, places[-1], max(2, round(float(places[-1])) + 1))
-    part = np.clip(np.searchsorted(places, wanted, side="right") - 1, 0, len(steps) - 1)
+    slopes = _gradient(line, places)
+    count = max(2, round(float(places[-1])) + 1)
+    wanted = np.linspace(0.0, places[-1], count)
+    part = np.searchsorted(places, wanted, side="right") - 1
+    part = np.clip(part, 0, len(steps) - 1)
     share = ((wanted - places[part]) / steps[part])[:, None]
     length = steps[part][:, None]
     square = share**2
@@ -569,9 +590,11 @@ def _at_stations(
         crossing = np.flatnonzero((ahead[:-1] <= 1e-6) & (ahead[1:] >= -1e-6))
         if not crossing.size:
             continue
-        near = min(crossing.tolist(), key=lambda each: float(np.hypot(*(curve[each] - station))))
-        if np.hypot(*(curve[near] - station)) > reach:
+        x, y = (curve[crossing] - station).T
+        distances_there = np.hypot(x, y)
+        if distances_there.min() > reach:
             continue
+        near = crossing[distances_there.argmin()]
         share = -ahead[near] / (ahead[near + 1] - ahead[near])
         found[number] = curve[near] + min(max(share, 0.0), 1.0) * (curve[near + 1] - curve[near])
     return found
