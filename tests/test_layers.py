@@ -83,7 +83,6 @@ QUESTIONS = {
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans
     "world/gym_world.py": 2,  # how long runs of such an environment are, and who makes its policy
     "world/kernel/loop.py": 4,  # a C flag, because it is read at each tick
-    "world/roads/survey.py": 1,  # whether a lane has points
     "world/run_config.py": 1,  # an error about crossings where there are none
 }
 """For each file the number of lines that match :data:`QUESTION`. Numbers here only fall: ask the road itself."""

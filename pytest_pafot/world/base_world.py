@@ -24,7 +24,7 @@ from pytest_pafot.world.driving.policy import AdsFactory, Policy, idm_model
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, planner_run, vehicle_run
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import (
     ADS_HZ,

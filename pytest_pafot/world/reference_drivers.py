@@ -23,7 +23,7 @@ from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 # Standard gravity [m/s^2].

@@ -16,9 +16,9 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
-from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.kernel.crossing import JunctionDirector
 from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.lanes import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.road import Pose, Road
 

@@ -35,7 +35,7 @@ from pytest_pafot.world.engines.simulation import (
     Simulators,
 )
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.limits import (
     ADS_HZ,
     CLEARANCE,

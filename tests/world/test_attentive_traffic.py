@@ -16,7 +16,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world import Highway, NpcLimits
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario
 
 HZ = 20

@@ -11,8 +11,8 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits, World
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
+from pytest_pafot.world.kernel.lanes import Body
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 from tests.helpers.world_cases import (

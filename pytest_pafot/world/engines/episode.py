@@ -27,7 +27,7 @@ from pytest_pafot.world.engines.gym_replay import end_of, stand_in
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, closing, error_of
 from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ

@@ -71,7 +71,7 @@ from pytest_pafot.world.gym_environment import (
     wrapper_names,
     wrappers_of,
 )
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
 from pytest_pafot.world.limits import ADS_HZ, check_divides, whole_within
 from pytest_pafot.world.plausible import Implausible, Plausibility

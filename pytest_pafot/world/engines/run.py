@@ -27,8 +27,8 @@ from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.policy import ads_and_sight, give_route, idm_model
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, ModelDriver, PlannerDriver
 from pytest_pafot.world.plausible import Implausible, Plausibility
 from pytest_pafot.world.roads.road import StraightRoad

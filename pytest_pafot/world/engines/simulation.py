@@ -26,7 +26,7 @@ from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.world.driving.policy import Unseeing, check_by
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, patience_with_world
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Sensor
 from pytest_pafot.world.plausible import Implausible, Plausibility

@@ -21,7 +21,7 @@ from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
