@@ -30,13 +30,13 @@ from pytest_pafot.world.driving.vehicles import (
     compiled_network,
     is_regulated,
 )
+from pytest_pafot.world.engines.run import Plausibility
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import FEATURES, Network, Table
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.plausible import Plausibility
 from pytest_pafot.world.roads.road import Pose, StraightRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.stock import (

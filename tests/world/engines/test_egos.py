@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from example_ads import defects
 from pytest_pafot import Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import base_world as egos
 from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
