@@ -42,6 +42,7 @@ from pytest_pafot.world.engines.run import (
     HANG_LIMIT,
     HEADWAY,
     PHYSICS_HZ,
+    FixedObject,
     OwnEnds,
     Rules,
     VehiclesOfRun,
@@ -196,12 +197,11 @@ class BaseWorld(ABC):
             straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit)
         )
 
-    @property
-    def stock_road(self) -> Any:
+    def stock_road(self, np_random: Any = None) -> Any:
         # The road as a highway-env road without vehicles.
-        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
 
-        return Road(self.network)
+        return Road(self.network, np_random=np_random)
 
     @property
     @abstractmethod
@@ -241,7 +241,7 @@ class BaseWorld(ABC):
     @property
     def crossings(self) -> Crossings | None:
         """The paths that cross or join the ego's path, or None if there are none."""
-        return self.rules.crossings
+        return self.rules.road.crossings
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check that a scenario fits this world.
@@ -250,13 +250,23 @@ class BaseWorld(ABC):
             ScenarioError: if it does not fit. The error names the field.
         """
         if not isinstance(scenario, Scenario):
-            raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
+            raise ScenarioError(
+                field="scenario",
+                expected="a Scenario",
+                received=repr(scenario),
+            )
         rules = self.rules
         road = rules.road
         lane = scenario.ego_lane
         if lane not in road.start_lanes:
             expected, fix = road.said_of_start_lanes
-            raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
+            raise ScenarioError(
+                field="ego_lane",
+                expected=expected,
+                received=str(lane),
+                fix=fix,
+            )
+        # NPCs that cross start on their own paths, so they need no cell.
         cells = rules.start_cells(scenario, rules.ego.length)
         on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
         if on_grid > len(cells):
@@ -270,10 +280,11 @@ class BaseWorld(ABC):
         near = rules.object_at_start(lane, scenario.ego_speed)
         if near is not None:
             rules.refuse_start(scenario, near)
+        # A crossing NPC drives on its own path, which may have tighter bends than the ego's path.
         zones: list[str | None] = [None] * len(scenario.npcs)
         for npc, instruction in enumerate(scenario.crossings):
             if instruction is not None:
-                _check_crossing(rules.crossings, f"npcs[{npc}][0]", instruction)
+                _check_crossing(road.crossings, f"npcs[{npc}][0]", instruction)
                 zones[npc] = instruction.zone
         for npc, vehicle in enumerate(scenario.vehicles):
             zone = zones[npc]
@@ -286,6 +297,7 @@ class BaseWorld(ABC):
                     fix=f"it needs bend radii of at least {least:.1f} m. "
                     "Give the NPC a shorter vehicle or another path",
                 )
+        # Instructions change only between ticks. The tolerance allows for rounding.
         ticks = scenario.gene_seconds * rules.physics_hz
         whole = round(ticks)
         if abs(ticks - whole) > 1e-6 or whole < 1:
@@ -330,6 +342,7 @@ class BaseWorld(ABC):
                 expected=f"a tick of the run, from 0 to {trace.ticks}",
                 received=repr(tick),
             )
+        # The recorded states can only be repeated at the same ticks.
         physics_hz = self.rules.physics_hz
         if trace.physics_hz != physics_hz:
             raise WorldError(
@@ -389,7 +402,7 @@ class BaseWorld(ABC):
     def _vehicles(self, rules: Rules, scenario: Scenario, body: Body | None) -> VehiclesOfRun:
         ego = body or Body(rules.ego.length, rules.ego.width)
         ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
-        return VehiclesOfRun(rules, scenario, ego, lambda: self.stock_road)
+        return VehiclesOfRun(rules, scenario, ego, self.stock_road)
 
     def _own_ends(self, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
         # The methods with which the environment of this world can end a run early, or None.
@@ -402,6 +415,7 @@ class BaseWorld(ABC):
         trace = self.rollout(scenario, lambda: seen.append)
         if not seen or trace.error is None:
             return None
+        # Only the first half of the message; the second half states the None of this function.
         expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
         observation = seen[0]
         is_si = isinstance(observation, Observation)
@@ -422,6 +436,15 @@ class BaseWorld(ABC):
     def _check_whole(self, name: str, low: int, high: int) -> None:
         object.__setattr__(self, name, whole_within(name, getattr(self, name), low, high))
 
+    def _refused(self, name: str, expected: str, fix: str = "") -> WorldError:
+        received = f"{getattr(self, name)!r:.200}"
+        return WorldError(
+            field=name,
+            expected=expected,
+            received=received,
+            fix=fix,
+        )
+
     def _check_fields(self) -> None:
         """Check the fields that all worlds have."""
         self._check_number("clearance", 0.0, 50.0)
@@ -436,6 +459,7 @@ class BaseWorld(ABC):
         try:
             object.__setattr__(self, "ego", VehicleType.parse(self.ego))
         except FieldError as error:
+            # The error names a field of the vehicle type, or "vehicle" for the whole value.
             raise WorldError(f"ego.{error}".replace("ego.vehicle:", "ego:")) from None
         if self.ego.braking < HARDEST:
             raise WorldError(
@@ -445,6 +469,7 @@ class BaseWorld(ABC):
             )
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
+        # `asdict` copies all values, which fails for some user's objects, so they are removed first.
         data = asdict(cast("Any", replace)(self, **without))
         for name in ("lasts", "ego", *without):
             del data[name]
@@ -459,8 +484,9 @@ class BaseWorld(ABC):
         physics_hz: float,
         ads_hz: float,
         duration: float,
-        obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
+        obstacles: tuple[FixedObject, ...] = (),
     ) -> Rules:
+        # The run of an ego that cannot follow the road would end wherever it first bends.
         if not road.can_drive(self.ego):
             raise WorldError(
                 field="ego",
@@ -522,6 +548,7 @@ def _check_speeds(rules: Rules, scenario: Scenario) -> None:
     limit = rules.road.speed_limit
     top = rules.limits.top_speed(limit)
     if scenario.ego_speed > top:
+        # Rounded down, so that the stated speed is valid.
         reached = math.floor(100 * top) / 100
         raise ScenarioError(
             field="ego_speed",
@@ -558,6 +585,7 @@ def _check_crossing(
         )
     if crossings.fits(instruction):
         return
+    # The error states which slots are valid.
     most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
     slots = [step / SLOT_STEPS_PER_SECOND for step in range(-most, most + 1)]
     slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
@@ -590,6 +618,7 @@ class TakingOver:
             return self.world.take_over(trace, tick, CAREFUL)
         except Exception as error:  # raised by a user's simulator
             world = type(self.world).__name__
+            # The message of a user's exception can have several lines.
             raised = f"{type(error).__name__}: {one_line(str(error))}"
             text = f"take_over with the driver {CAREFUL!r} failed in the {world}: {raised}"
             raise DriverError(text) from error
@@ -685,12 +714,14 @@ class Highway(BaseWorld):
             )
         ads = policy.make()
         if ads.drives_itself:
+            # A vehicle class has no decisions that could be replaced.
             if decisions:
                 raise WorldError(
                     f"decisions: expected none for {ads.given!r}, because a vehicle class drives itself and returns no "
                     f"actions, received {len(decisions)}. Omit them"
                 )
             return self._vehicle_run(scenario, ads.given)
+        # A planner may hold resources, such as a process, until the end of its run.
         with closing(ads.given, self.hang_limit):
             return self._planned(self.rules, scenario, ads.given, decisions)
 
@@ -700,21 +731,17 @@ class Highway(BaseWorld):
         vehicle_class = built_as(rules.ego, given)
         guard = HangGuard(rules.hang_limit)
         model = idm_model(vehicle_class)
-
-        def stock_road() -> Any:
-            from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
-
-            return Road(self.network, np_random=rng_of(scenario.seed))
-
         if model is not None:  # the kernel drives it
             ego = GoalVehicle(model.constants, self.road.grid, self.road.speed_limit)
             start = rules.ego_position(scenario)
             ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
-            vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
+            vehicles = VehiclesOfRun(
+                rules, scenario, ego, lambda: self.stock_road(rng_of(scenario.seed))
+            )
             return vehicles.drive(ModelDriver(ego, vehicles.vehicles[1:]), guard)
         from pytest_pafot.world.driving.environment import ObjectDriver  # noqa: PLC0415  (a second of imports)
 
-        road = stock_road()
+        road = self.stock_road(rng_of(scenario.seed))
         driver = ObjectDriver(make_ego(rules, scenario, vehicle_class, road), road, guard)
         vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: road)
         driver.show(vehicles.places, self.road)

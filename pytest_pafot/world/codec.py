@@ -48,6 +48,7 @@ def checked_world(given: Any) -> BaseWorld:
     Raises:
         WorldError: for any other object, including an instance of a derived class.
     """
+    # An instance of a derived class would be saved as its base class, and replayed without its changes.
     classes = (*BUILT_IN.values(), SimulatorWorld)
     if type(given) in classes:
         world: BaseWorld = given
@@ -72,9 +73,14 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
             data that the simulator does not accept.
     """
     if not isinstance(data, Mapping):
-        raise WorldError(field="world", expected="a mapping", received=repr(data))
+        raise WorldError(
+            field="world",
+            expected="a mapping",
+            received=repr(data),
+        )
     values = dict(data)
     kind = values.pop("kind", None)
+    # The kind of an untrusted file need not be hashable.
     if isinstance(kind, str) and kind in BUILT_IN:
         return _built_in(kind, values)
     if isinstance(kind, str) and kind in SIMULATORS:
@@ -91,11 +97,16 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
 
 
 def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
+    # Otherwise, the class would raise a TypeError that does not name the file's field.
     _check_names(f"world (kind {kind})", values, BUILT_IN[kind])
     if "limits" in values:
         limits = values["limits"]
         if not isinstance(limits, dict):
-            raise WorldError(field="world.limits", expected="a mapping", received=repr(limits))
+            raise WorldError(
+                field="world.limits",
+                expected="a mapping",
+                received=repr(limits),
+            )
         _check_names("world.limits", limits, NpcLimits)
         values["limits"] = NpcLimits(**limits)
     if "wrappers" in values:
@@ -132,6 +143,7 @@ def _may_name(path: Any) -> bool:
         return False
     if path.startswith("highway_env.vehicle."):
         return True
+    # Read from `sys.modules`, because an import would already run the code that the file names.
     module, _, name = path.rpartition(".")
     found = vars(sys.modules.get(module, object)).get(name)
     if not isinstance(found, type):
@@ -178,6 +190,7 @@ def described(world: BaseWorld) -> dict[str, Any]:
     data = world.to_dict()
     if not isinstance(world, SimulatorWorld):
         return data
+    # A built-in simulator is recreated from its kind. The code of a user's class is not in the file.
     name = world.maker.__name__
     kind = world.maker.__module__.rpartition("pytest_pafot.simulators.")[2]
     if SIMULATORS.get(kind) == name:
@@ -194,6 +207,7 @@ def world_of_file(
         WorldError: as for :func:`from_dict`, or if :func:`limit_durations` cannot shorten the runs of a simulator.
     """
     world = from_dict(limit_durations(data, scenario, own))
+    # `limit_durations` has already limited built-in worlds. Only the simulator knows its own durations.
     if own is None or data.get("kind") in BUILT_IN:
         return world
     for what, asked, most in (
@@ -223,10 +237,12 @@ def limit_durations(
     if own is not None:
         most_seconds = own.hang_limit  # a decision may take as long as in the test's world
     hang_limit = data.get("hang_limit")
+    # `from_dict` reports a value of another type.
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limited["hang_limit"] = most_seconds
     if own is None or data.get("kind") not in BUILT_IN:
         return limited
+    # A World uses its `duration`, or else the environment's duration, or else the default.
     asked = LONGEST_RUN
     config = data.get("config")
     if isinstance(config, Mapping) and isinstance(config.get("duration"), (int, float)):
@@ -243,6 +259,7 @@ def limit_durations(
 def describe_limits(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
     """Describe how :func:`limit_durations` shortens the run in a file."""
     longest = limit_durations(data, scenario, own).get("duration")
+    # Also if neither states a duration.
     if longest == data.get("duration"):
         return []
     return differences("world", data, {**data, "duration": longest})
@@ -250,6 +267,7 @@ def describe_limits(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld)
 
 def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
     # The duration [s] with as many ticks in the file's world as the longest run has in the test's world.
+    # An environment states its rate in its configuration.
     rate = data.get("physics_hz")
     config = data.get("config")
     if isinstance(config, Mapping):
@@ -286,6 +304,7 @@ def check_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
             received=f"{_title(data)} with its own rollout, which is no longer supported",
             fix="derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file",
         )
+    # Each kind of world has only some of these keys.
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     way = "a file cannot contain code, so set the world with @pafot.search(world=...), pafot_world or --world"

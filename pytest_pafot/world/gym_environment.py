@@ -33,7 +33,14 @@ from pytest_pafot.world.driving.vehicles import (
     straight_road,
     traffic_class,
 )
-from pytest_pafot.world.engines.run import ADS_HZ, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
+from pytest_pafot.world.engines.run import (
+    ADS_HZ,
+    OTHER_KIND,
+    PHYSICS_HZ,
+    FixedObject,
+    plain_data,
+    whole_within,
+)
 from pytest_pafot.world.guard.hang_guard import (
     UNFIT,
     AdsHang,
@@ -260,11 +267,10 @@ class GymEnvironment:
             with EnvironmentGuard(self.hang_limit) as guard, guard.call():
                 yield
         except WorldHang as error:
-            raise WorldError(
-                field="env_id",
-                expected="an environment whose methods return in time",
-                received=f"one in which {error}",
-                fix="correct the environment, or increase the world's hang_limit",
+            raise refused_environment(
+                "an environment whose methods return in time",
+                f"one in which {error}",
+                "correct the environment, or increase the world's hang_limit",
             ) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
@@ -275,6 +281,7 @@ class GymEnvironment:
         # First reject an environment that would take minutes to create.
         creator = _creator(self.env_id)
         given = self.config or {}
+        # A function can return an environment of any class, which is only known after the call below.
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
@@ -308,16 +315,16 @@ class GymEnvironment:
                 received=received,
                 fix=f"the environment raised {type(error).__name__}: {error!s:.200}",
             ) from error
+        # Now the class is known, and the default configuration with it.
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
         # Without these wrappers, the policy might not receive the observations that it was made for.
         added = wrapper_names(env)
         if self.wrappers is None and added:
-            raise WorldError(
-                field="env_id",
-                expected="an environment that is registered without wrappers",
-                received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
-                fix=f"to use these wrappers, write pafot.World({self.env_id!r}, wrappers=[]), with any additional "
+            raise refused_environment(
+                "an environment that is registered without wrappers",
+                f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
+                f"to use these wrappers, write pafot.World({self.env_id!r}, wrappers=[]), with any additional "
                 "wrappers in the list",
             )
         with self.in_time():
@@ -335,6 +342,7 @@ class GymEnvironment:
         has_wrappers = bool(wrapper_names(outer))
         if has_wrappers:
             env = outer.unwrapped
+            # A wrapper that sets the configuration in its reset must not bring the traffic back.
             without_traffic = {name: env.config[name] for name in REPLACED if name in env.config}
             with vehicle_classes_kept():
                 self._can_reset(outer)
@@ -377,11 +385,10 @@ class GymEnvironment:
                 was = first.get(name, "none")[:60]
                 now = found.get(name, "none")[:60]
                 who = " in ".join([type(outer.unwrapped).__name__, *names])
-                raise WorldError(
-                    field="env_id",
-                    expected="an environment whose resets depend only on the seed, so that runs can be repeated",
-                    received=f"{who}, where {name} is {was} after the first reset and {now} after a later one",
-                    fix="does it count its resets, or draw random numbers without using the seed? If the difference "
+                raise refused_environment(
+                    "an environment whose resets depend only on the seed, so that runs can be repeated",
+                    f"{who}, where {name} is {was} after the first reset and {now} after a later one",
+                    "does it count its resets, or draw random numbers without using the seed? If the difference "
                     "is intended, make it an option in config= and set a value in each test",
                 )
 
@@ -405,7 +412,7 @@ class GymEnvironment:
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
-    def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+    def obstacles(self) -> tuple[FixedObject, ...]:
         """The x [m], y [m], heading [rad], length [m] and width [m] of each solid object on the road."""
         return obstacles_of(self.unwrapped)
 
@@ -423,6 +430,7 @@ class GymEnvironment:
         default = "highway_env.vehicle.behavior.IDMVehicle"
         given = self.unwrapped.config.get("other_vehicles_type", default)
         road = self.road(np.random.default_rng(0))
+        # The class is tried on a road with the ego, as in a run.
         road.vehicles = [self.unwrapped.vehicle]
         try:
             with vehicle_classes_kept(), self.in_time():
@@ -464,15 +472,9 @@ class GymEnvironment:
         return compiled_network(self.unwrapped.road.network)
 
     @property
-    def config_of_wrappers(self) -> dict[str, Any]:
-        """The configuration after a reset of the wrapped environment, or an empty dict if there are no wrappers."""
-        if not self.wrapper_names:
-            return {}
-        return dict(self.unwrapped.config)
-
-    @property
     def route(self) -> tuple[Any, ...] | None:
         """The ego's planned route, or None if it has none or the road is straight."""
+        # On a straight road, runs need none.
         route = getattr(self.unwrapped.vehicle, "route", None)
         if route is None or self.straight_road is not None:
             return None
@@ -488,6 +490,7 @@ class GymEnvironment:
     @property
     def has_own_step(self) -> bool:
         cls: Any = type(self.unwrapped)
+        # The `step` of these two classes only adds vehicles or information, which runs do not need.
         is_stock = cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step)
         return not is_stock or cls._simulate is not AbstractEnv._simulate
 
@@ -505,6 +508,7 @@ class GymEnvironment:
         """
         found = []
         cls = type(self.unwrapped)
+        # A HighwayEnv also ends when the ego leaves the straight road, but only with this option.
         ended_anyway: tuple[str, ...] = ENDED_ANYWAY
         if not self.unwrapped.config.get("offroad_terminal"):
             ended_anyway = (*ENDED_ANYWAY, "HighwayEnv")
@@ -562,6 +566,7 @@ class GymEnvironment:
         env = self.unwrapped
         found = []
         known = {id(each): each for each in (env, env.road, env.vehicle)}
+        # The packages of the user's classes. Objects of other packages are assumed not to change.
         homes = {each.__module__.partition(".")[0] for each in type(env).__mro__}
         homes -= {"highway_env", "gymnasium", "builtins"}
         for name, value in vars(env).items():
@@ -575,6 +580,7 @@ class GymEnvironment:
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether each run must be an episode of the environment, because of its ``step`` or ``reset``."""
+        # For an ego that drives itself, the environment's own `reset` does not matter.
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
         is_its_own = resets_itself or self.sets_ends
         return self.steps_itself(drives_itself=drives_itself) or (is_its_own and not drives_itself)
@@ -587,6 +593,7 @@ class GymEnvironment:
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
+        # highway-env's own methods change nothing that a run reads.
         own = [name for name in LEFT_OUT if not of_highway_env(getattr(cls, name))]
         if not own:
             return found
@@ -617,11 +624,10 @@ class GymEnvironment:
             WorldError: if the run's ego does not replace that ego everywhere.
         """
         if self._keeper:
-            raise WorldError(
-                field="env_id",
-                expected="an environment that accesses its ego only through self.vehicle",
-                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` still has the ego of the last reset",
-                fix="read self.vehicle each time, because every run has a new ego",
+            raise refused_environment(
+                "an environment that accesses its ego only through self.vehicle",
+                f"{type(self.unwrapped).__name__}, whose `{self._keeper}` still has the ego of the last reset",
+                "read self.vehicle each time, because every run has a new ego",
             )
 
     @cached_property
@@ -632,6 +638,7 @@ class GymEnvironment:
         for name, value in vars(env).items():
             if name in WITH_EGO or value is env.vehicle:
                 continue
+            # The items of a collection, or the attributes of a helper object.
             parts = value
             if not isinstance(value, (list, tuple, set)):
                 parts = getattr(value, "__dict__", value)
@@ -654,6 +661,7 @@ class GymEnvironment:
         """
         given = self.config or {}
         is_straight = self.straight_road is not None
+        # Both decide without the environment.
         has_own_policy = is_planner or drives_itself
         traffic = set(TRAFFIC_OPTIONS)
         if not (drives_itself or simulates):
@@ -690,6 +698,7 @@ class GymEnvironment:
         for name, value in values.items():
             if name in env.config and name not in REPLACED:
                 value = env.config[name]  # noqa: PLW2901  (what the environment or a wrapper has set)
+            # Objects such as classes cannot be saved. A replay has the environment's own values of them.
             with suppress(WorldError):
                 config[name] = plain_data(f"config.{name}", value)
         return config
@@ -717,6 +726,7 @@ def _beginning(outer: Any) -> dict[str, str]:
         if name not in (*TRAFFIC_OPTIONS, *REPLACED):
             found[f"config[{name!r}]"] = repr(value)
     for index, lane in env.road.network.lanes_dict().items():
+        # Three points are enough to notice a changed lane.
         points = [lane.position(share * lane.length, 0).tolist() for share in (0.0, 0.5, 1.0)]
         found[f"lane {index}"] = repr((points, lane.width_at(0), lane.speed_limit))
     found["road.objects"] = repr(obstacles_of(env))
@@ -772,7 +782,7 @@ def put_ego(env: Any, ego: Any) -> None:
     env.define_spaces()
 
 
-def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
+def obstacles_of(env: Any) -> tuple[FixedObject, ...]:
     """Return the x [m], y [m], heading [rad], length [m] and width [m] of each solid object on a road."""
     found = []
     for each in env.road.objects:
@@ -785,6 +795,16 @@ def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ..
 def of_highway_env(definition: Any) -> bool:
     """Return whether a class or function is defined in highway-env."""
     return str(getattr(definition, "__module__", "")).startswith("highway_env.")
+
+
+def refused_environment(expected: str, received: str, fix: str) -> WorldError:
+    """Return the error to raise for an environment in which scenarios cannot run."""
+    return WorldError(
+        field="env_id",
+        expected=expected,
+        received=received,
+        fix=fix,
+    )
 
 
 def has_own_act(road: Any) -> bool:
@@ -814,6 +834,7 @@ def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
     """
     before: dict[Any, dict[str, Any]] = {}
     queue: list[Any] = [Vehicle]
+    # A class with several bases is found more than once.
     for cls in queue:
         if cls not in before:
             before[cls] = _constants(cls)
@@ -847,6 +868,7 @@ def _wrap(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
         except Exception as error:
             received = f"{wrapper!r:.200}, which raised {type(error).__name__}: {error}"
             raise WorldError(f"{expected}, received {received}") from error
+        # A wrapper may also have created an environment of its own, without the configuration.
         if not isinstance(outer, gymnasium.Env) or outer.unwrapped is not env.unwrapped:
             raise WorldError(
                 f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}"
@@ -868,11 +890,10 @@ def _creator(env_id: str) -> Any:
         meant = ""
         for near in difflib.get_close_matches(env_id, accepted, n=1):
             meant = f"did you mean {near!r}? "
-        raise WorldError(
-            field="env_id",
-            expected="a registered environment",
-            received=repr(env_id),
-            fix=f"{meant}highway-env's straight roads are in {' and '.join(known)}. To use your own environment, first "
+        raise refused_environment(
+            "a registered environment",
+            repr(env_id),
+            f"{meant}highway-env's straight roads are in {' and '.join(known)}. To use your own environment, first "
             f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}",
         )
     entry_point = gymnasium.registry[env_id].entry_point
@@ -883,20 +904,21 @@ def _creator(env_id: str) -> Any:
 
 def _check_base(env_id: str, cls: type[Any]) -> None:
     if not issubclass(cls, AbstractEnv):
-        raise WorldError(
-            field="env_id",
-            expected="an environment derived from highway-env's AbstractEnv",
-            received=f"{env_id!r} ({cls.__name__})",
-            fix=f"write {OTHER_KIND}",
+        raise refused_environment(
+            "an environment derived from highway-env's AbstractEnv",
+            f"{env_id!r} ({cls.__name__})",
+            f"write {OTHER_KIND}",
         )
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     """Reject values of known options with which highway-env would compute for minutes."""
+    # The package sets these options itself, so their values do not matter.
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
             whole_within(f"config.{name}", given[name], *bounds)
+    # In a user's environment, an option such as `length` can have another meaning.
     if not of_highway_env(creator):
         known = ("observation", "action", "scaling")
         given = {name: given[name] for name in known if name in given}
@@ -919,6 +941,7 @@ def _check_size(place: str, config: Any) -> None:
         return
     if config.get("type") == "OccupancyGrid":
         cells = _cells(config)
+        # `not <=` also rejects NaN.
         if not cells <= MOST_CELLS:
             received = f"{cells:,.0f} cells"
             if cells == math.inf:
@@ -988,6 +1011,7 @@ def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
     if not isinstance(observation, Mapping):
         return 0.0
     inner = 0.0
+    # Observations can consist of others.
     parts = observation.get("observation_configs") or [observation.get("observation_config")]
     if isinstance(parts, (list, tuple)):
         inner = sum(_numbers(part, config) for part in parts)
@@ -1029,33 +1053,30 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
     for name, value in given.items():
         # it would fail during a run
         if isinstance(value, str) and isinstance(default[name], (int, float)):
-            raise WorldError(
-                field=f"config.{name}",
-                expected=f"a number such as {default[name]!r}",
-                received=repr(value),
-            )
+            raise _refused_option(name, f"a number such as {default[name]!r}", value)
     egos = env.config.get("controlled_vehicles", 1)
     if egos != 1:
-        raise WorldError(
-            field="config.controlled_vehicles",
-            expected="1, the ego",
-            received=repr(egos),
-            fix="all other vehicles are NPCs",
-        )
-    manual_control = env.config.get("manual_control")
-    if manual_control:
-        raise WorldError(
-            field="config.manual_control",
-            expected="False, because the policy drives",
-            received=repr(manual_control),
-            fix="omit this option",
-        )
+        fix = "all other vehicles are NPCs"
+        raise _refused_option("controlled_vehicles", "1, the ego", egos, fix)
+    manual = env.config.get("manual_control")
+    if manual:
+        expected = "False, because the policy drives"
+        raise _refused_option("manual_control", expected, manual, "omit this option")
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
         # options of other classes are not known
         if name in given and type(kind).__module__ == module.__name__:
             known = {*_options(module), *default.get(name, ())}
             _check_names(f"config.{name}", given[name], known)
+
+
+def _refused_option(name: str, expected: str, value: object, fix: str = "") -> WorldError:
+    return WorldError(
+        field=f"config.{name}",
+        expected=expected,
+        received=repr(value),
+        fix=fix,
+    )
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
@@ -1087,6 +1108,7 @@ def _options(module: Any) -> set[str]:
     # Each class also accepts the options of all other classes, and highway-env's configurations rely on that.
     options = {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
     for each in vars(module).values():
+        # Imported classes, such as those of numpy, are no kinds of observations.
         if inspect.isclass(each) and each.__module__ == module.__name__:
             options |= set(inspect.signature(each).parameters)
     return options - {"env", "kwargs"}
@@ -1103,6 +1125,7 @@ def _make_environment(
     if not has_traffic:
         config["vehicles_count"] = 0
         config |= {name: 0 for name in TRAFFIC if name in known}
+    # An environment that cannot be created with a configuration may have a method for it.
     parameters = inspect.signature(creator).parameters
     takes_any = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     takes_config = takes_any or "config" in parameters
@@ -1125,6 +1148,7 @@ def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any
     replaced = {**config}
     for name in config.keys() & known:
         with suppress(WorldError):
+            # Compared as data, because a file has lists in place of tuples and arrays.
             default = plain_data(name, known[name])
             if repr(plain_data(name, config[name])) == repr(default):
                 replaced[name] = known[name]

@@ -86,19 +86,22 @@ class World(BaseWorld):
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
-            expected = (
-                'the id of a registered environment, without a module name, such as "highway-v0"'
-            )
             fix = "first import the module that registers the environment"
             if not isinstance(self.env_id, str):
                 fix += f", or write {OTHER_KIND}"
-            raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
+            raise WorldError(
+                field="env_id",
+                expected='the id of a registered environment, without a module name, such as "highway-v0"',
+                received=repr(self.env_id),
+                fix=fix,
+            )
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(
                 field="config",
                 expected="a dict of the environment's options",
                 received=repr(self.config),
             )
+        # A copy, so that later changes of the user's dict have no effect.
         object.__setattr__(self, "config", plain_data("config", self.config))
         self._check_fields()
         if self.duration is not None:
@@ -106,26 +109,25 @@ class World(BaseWorld):
         if self.planner_hz is not None:
             self._check_whole("planner_hz", *ADS_HZ)
         if self.ends not in ENDS:
-            raise WorldError(
-                field="ends", expected=" or ".join(map(repr, ENDS)), received=f"{self.ends!r:.200}"
-            )
+            raise self._refused("ends", " or ".join(map(repr, ENDS)))
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
-            raise WorldError(
-                field="wrappers",
-                expected="no wrappers with planner_hz=, because a planner in SI units does not act through wrappers",
-                received=f"{self.wrappers!r:.200}",
+            raise self._refused(
+                "wrappers",
+                "no wrappers with planner_hz=, because a planner in SI units does not act through wrappers",
             )
         if not isinstance(self.wrappers, (list, tuple)):
-            raise WorldError(
-                field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}"
-            )
+            raise self._refused("wrappers", "a list of callables")
         for index, each in enumerate(self.wrappers):
             if not callable(each):
+                field = f"wrappers[{index}]"
                 raise WorldError(
-                    field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}"
+                    field=field,
+                    expected="a callable",
+                    received=f"{each!r:.200}",
                 )
+        # A tuple, because worlds are compared and hashed.
         object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
@@ -223,6 +225,7 @@ class World(BaseWorld):
             if ads.drives_itself:
                 policy = Policy(ads.given)
             else:
+                # The factory must be called only once for each run, and its result is known already.
                 policy = Policy(wraps(ads_factory, updated=())(lambda: ads.given))
         drives_itself = is_planner or policy.drives_itself
         if not drives_itself:
@@ -295,6 +298,7 @@ class World(BaseWorld):
             data["duration"] = min(self._wanted, self._longest)
         if self.planner_hz is None:
             del data["planner_hz"]
+        # Files state only an `ends` that makes a difference.
         if self.ends == "environment" or not (self.wrappers or self.environment.has_own_ends):
             del data["ends"]
         if self.wrappers is not None:
@@ -316,12 +320,12 @@ class World(BaseWorld):
     def network(self) -> Any:
         return self.environment.network
 
-    @property
-    def stock_road(self) -> Any:
-        return self.environment.road()
+    def stock_road(self, np_random: Any = None) -> Any:
+        return self.environment.road(np_random)
 
     @cached_property
     def _rules(self) -> Rules:
+        # The unwrapped environment has the configuration after a reset, which wrappers may change.
         environment = self.environment
         env = environment.unwrapped
         config = env.config
@@ -360,6 +364,7 @@ class World(BaseWorld):
         # If a `step` repeats actions, the number of its ticks is not known.
         if steps is None or environment.may_repeat_actions:
             return made
+        # A step of the environment lasts several ticks.
         limit = steps * made.step_ticks
         made = replace(made, duration=min(duration, limit / physics_hz))
         # If no duration is set, as in two-way-v0, the limit is the intended duration, so no run ends early.
@@ -397,6 +402,7 @@ def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
         return ()
     from pytest_pafot.world.stock import action  # noqa: PLC0415  (slow to import, and a report may have no such run)
 
+    # The numbers of actions depend on which of the two groups exist.
     names = action.DiscreteMetaAction.ACTIONS_ALL
     if not given.get("longitudinal", True):
         names = action.DiscreteMetaAction.ACTIONS_LAT

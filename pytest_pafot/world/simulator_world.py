@@ -30,6 +30,7 @@ from pytest_pafot.world.engines.run import (
     HEADWAY,
     PHYSICS_HZ,
     PLANNER_HZ,
+    FixedObject,
     Rules,
     check_ticks,
     number_within,
@@ -118,13 +119,13 @@ class SimulatorWorld(BaseWorld):
     def __post_init__(self) -> None:
         if isinstance(self.simulator, Simulator) or not callable(self.simulator):
             name = type(self.simulator).__name__
-            raise WorldError(
-                field="simulator",
-                expected="a subclass of pafot.Simulator, or a function without parameters that creates a simulator",
-                received=f"{self.simulator!r:.200}",
-                fix=f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)",
+            raise self._refused(
+                "simulator",
+                "a subclass of pafot.Simulator, or a function without parameters that creates a simulator",
+                f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)",
             )
         if self.ads_hz is not None:
+            # The tick rate is known only after the simulator has been created, so the divisor is checked later.
             self._check_number("ads_hz", *ADS_HZ)
             object.__setattr__(self, "ads_hz", whole_if_possible(self.ads_hz))
         self._check_number("duration", 0.1, 3600.0)
@@ -214,6 +215,7 @@ class SimulatorWorld(BaseWorld):
                 straight = StraightRoad.uniform(len(lines), length, width, limit)
                 return _OnRoad(straight, Frame(stated, origin), longest)
         # On all other roads, the ego follows the lane in which it starts, as in an environment of highway-env.
+        # The speed also determines how far the ego gets on a road with an end.
         speed = stated.start_speed
         if speed is None:
             speed = min(EGO_SPEED, limit)
@@ -233,6 +235,7 @@ class SimulatorWorld(BaseWorld):
         stated = self._stated
         if stated.lines is not None or stated.length is None:
             return stated.lines
+        # A straight road of a limited length is treated like lanes with centre lines.
         across = [number * stated.lane_width for number in range(stated.count)]
         return [np.array([(0.0, each), (stated.length, each)]) for each in across]
 
@@ -267,6 +270,7 @@ class SimulatorWorld(BaseWorld):
             # number, they are a multiple of the ticks between decisions.
             slowest = int(hz / PLANNER_HZ + 1e-9)
             return next(n for n in range(slowest, 0, -1) if not isinstance(hz, int) or hz % n == 0)
+        # A decision must last a whole number of ticks. The tolerance allows for rounded rates.
         ticks = hz / self.ads_hz
         every = max(round(ticks), 1)
         if abs(ticks - every) > 1e-3 * every:
@@ -281,7 +285,7 @@ class SimulatorWorld(BaseWorld):
         return every
 
     @cached_property
-    def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+    def _obstacles(self) -> tuple[FixedObject, ...]:
         # The position of an object is always its centre, regardless of the reference point for vehicles.
         stated = replace(self._stated, rear_axle_offset=None)
         frame = Frame(stated, self._on_road.frame.origin)
@@ -333,6 +337,7 @@ class SimulatorWorld(BaseWorld):
         self.check_fits(scenario)
         policy = Policy(ads_factory)
         policy.check_drives_in(self)
+        # Both need highway-env.
         if policy.simulates or policy.drives_itself:
             raise self._no_planner(ads_factory)
         ads = policy.make()
@@ -370,6 +375,7 @@ class SimulatorWorld(BaseWorld):
         if is_native:
             driver: PlannerDriver = NativeDriver(vehicles, ads, guard, decisions, every)
         else:
+            # Only planners in SI units can have an imperfect perception.
             decides, sight = ads_and_sight(ads)
             driver = planner_driver(vehicles, decides, guard, sight, decisions)
         # A reference driver takes over from an ego that repeats the decisions of the policy, at the policy's rate.
@@ -386,6 +392,7 @@ class SimulatorWorld(BaseWorld):
                 vehicles.loop.simulation = Simulation(
                     self.simulators, self._on_road.frame, vehicles, guard
                 )
+        # The guard may raise an error even after the simulation has started.
         except BaseException:
             vehicles.close()
             raise
@@ -424,6 +431,7 @@ class SimulatorWorld(BaseWorld):
         """
         given = dict(data)
         stated = {name: given.pop(name) for name in ("lanes", "speed_limit", "physics_hz")}
+        # A file from an untrusted source may contain anything here.
         limits = given.pop("limits")
         if not isinstance(limits, dict):
             raise WorldError(
@@ -432,6 +440,7 @@ class SimulatorWorld(BaseWorld):
         made = partial(simulator, **given.pop("simulator"))
         world = cls(made, limits=NpcLimits(**limits), **given)
         now = world.to_dict()
+        # A simulator that has changed since then would simulate other runs.
         for name, value in stated.items():
             if now[name] != value:
                 raise WorldError(
@@ -472,7 +481,7 @@ class _Stated:
     start_at: float | None
     moves_ego_only: bool
     native: bool
-    obstacles: list[tuple[float, float, float, float, float]]
+    obstacles: list[FixedObject]
     data: dict[str, Any]
     count: int = 0
     lines: list[Any] | None = None
@@ -495,6 +504,7 @@ def _check_statements(simulator: Any) -> _Stated:
             received=f"one that returned {simulator!r:.200}",
         )
     name = type(simulator).__name__
+    # First of all, because a misspelt unit would make the values below look wrong.
     _check_names(type(simulator))
     # Units first, because the limits of other values depend on them.
     units = {
@@ -534,6 +544,7 @@ def _check_statements(simulator: Any) -> _Stated:
         value = getattr(simulator, stated)
         if value not in known:
             raise refused(stated, f"one of {', '.join(map(repr, known))}", value)
+    # The offset is required for the rear axle, and has no effect with other points of reference.
     offset = simulator.rear_axle_offset
     reference = simulator.reference
     if offset is None and reference == "rear axle":
@@ -557,6 +568,7 @@ def _check_statements(simulator: Any) -> _Stated:
         check_plain(f"{name}.to_dict()", data)
     except ValueError as error:
         raise WorldError(str(error)) from None
+    # The method of the base class would only fail during a run.
     if is_on("native") and type(simulator).observe is Simulator.observe:
         raise WorldError(
             field=f"{name}.observe",
@@ -632,6 +644,7 @@ def _check_names(cls: type[Simulator]) -> None:
                 continue
             near = difflib.get_close_matches(name, Simulator.__annotations__, n=1, cutoff=0.8)
             meant = OTHER_NAMES.get(name, "".join(near))
+            # An attribute that the user's code reads somewhere is no mistake.
             if meant and _uses(name, classes) == 1:
                 raise WorldError(
                     field=f"{cls.__name__}.{name}",
@@ -663,6 +676,7 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
+        # Reported below, like all other values that are not points.
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise WorldError(
@@ -670,6 +684,7 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
             expected="at least two points (x, y), in the direction of travel",
             received=f"{given!r:.200}",
         )
+    # From here on in metres and in the axes of a run.
     line = np.array([frame.point(x, y) for x, y in points.tolist()])
     steps = np.hypot(*np.diff(line, axis=0).T)
     if steps.min() < 1e-3:
@@ -681,7 +696,7 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     return line
 
 
-def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
+def _obstacle(place: str, given: Any) -> FixedObject:
     values: list[float] = []
     if isinstance(given, (tuple, list)):
         values = [each for each in given if isinstance(each, (int, float)) and math.isfinite(each)]

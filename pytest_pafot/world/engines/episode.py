@@ -98,6 +98,7 @@ def drive_episode(
                 received=described(wrong),
                 fix="correct it",
             ) from wrong
+        # A second environment, in which the planner can simulate without changing the episode.
         view = None
         if policy.simulates:
             view = View(environment.make().unwrapped, env)
@@ -111,6 +112,7 @@ def drive_episode(
                 else:
                     steps = _drive_by_actions(outer, made, guard, around, seen, view, watch)
             if error is not None or "crashed" in watch():
+                # An error of the planner is not counted as a crash, even if it also crashed in that step.
                 return Episode(seed, error is None, error)
             if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
                 if "moved" in watch():
@@ -153,6 +155,7 @@ def _watching(env: Any) -> Watch:
     def stepped(dt: float) -> None:
         nonlocal watched, plausibility
         ego = env.vehicle
+        # A reset within the episode replaces the ego, whose old position says nothing about the new one.
         if watched is not ego:
             watched = ego
             plausibility = Plausibility([pose_of(ego)], dt)
@@ -178,6 +181,7 @@ def _drive_by_actions(
     # Returns the number of steps.
     env, policy = outer.unwrapped, made.policy
     check_action_space(outer.action_space)
+    # The view is numbered by ticks, as in a run.
     every = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
     for step in range(_steps(outer)):
         if view is not None:
@@ -203,11 +207,13 @@ def _drive_beside(
     kind: Any = StockVehicle
     if made.drives_itself:
         kind = made.decides
+    # The environment's ego may have a class that obeys only its action type.
     ego = kind(env.road, old.position, old.heading, old.speed)
     give_route(ego, getattr(old, "route", None))
     env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
     env.controlled_vehicles = [ego]
     env.define_spaces()
+    # Nothing reads its observations, which take longer than all the rest.
     env.observation_type.observe = lambda: 0.0
     # nothing reads its rewards, which may need an action
     if of_highway_env(type(env)):
@@ -244,6 +250,7 @@ def _connect_planner(
     ego = env.vehicle
     hz = int(env.config["simulation_frequency"])
     every = hz // PLANNER_HZ or 1
+    # An observer expects the ego first.
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]
     sizes = [(each.LENGTH, each.WIDTH) for each in vehicles]
     row = len(vehicles) * COLUMNS
@@ -275,6 +282,7 @@ def _connect_planner(
             held = each.action["acceleration"], each.action["steering"]
             record[at : at + 6] = array("d", (*pose, each.speed, *held))
         body.place(*record[tick * row : tick * row + 4])
+        # Between decisions, the car follows its last action.
         if tick % every == 0 and not errors:
             with around.paused():
                 error = driver.decide(tick)

@@ -51,6 +51,7 @@ from pytest_pafot.world.engines.run import (
     OwnEnds,
     Plausibility,
     Rules,
+    State,
     VehiclesOfRun,
     built_as,
     check_divides,
@@ -74,6 +75,7 @@ from pytest_pafot.world.gym_environment import (
     has_own_act,
     obstacles_of,
     put_ego,
+    refused_environment,
     vehicle_classes_kept,
     wrapper_names,
     wrappers_of,
@@ -110,43 +112,26 @@ class StockPolicy(GuardedDriver):
         self.failure: BaseException | None = None
         self.is_over = False
         self._seen: Any = None
-        self._action: Any = None
+        self.action: Any = None  # of the last decision
         self._ads = ads
         self.outer = outer
         self._view = view
         if isinstance(ads, Unseeing):
             hide(outer.unwrapped, ads.npc)
 
-    def begin(
-        self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]
-    ) -> None:
-        """Reset the environment for its first observation, but keep all vehicles at the scenario's start positions.
-
-        Raises:
-            WorldHang: if the environment or a wrapper does not return in time.
-        """
-        with around.call():
-            self._see(lambda: _reset_in_place(self.outer, seed, objects, hold))
-
     def make_decision(self, tick: int) -> Any:
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
             self._view.show(tick)
-        self._action = checked_action(self._ads(self._seen), self.outer.action_space)
-        return self._action
+        self.action = checked_action(self._ads(self._seen), self.outer.action_space)
+        return self.action
 
-    def take_step(self, around: EnvironmentGuard) -> None:
-        """Run a step of the environment with the last action.
+    def see(self, call: Callable[[], tuple[Any, ...]]) -> None:
+        """Observe the result of a reset or a step of the environment.
 
-        Raises:
-            WorldHang: if the environment or a wrapper does not return in time.
+        An exception of a wrapper is raised again in the next decision.
         """
-        with around.call():
-            self._see(lambda: self.outer.step(self._action))
-
-    def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
-        # An exception of a wrapper is raised again in the next decision.
         try:
             result = call()
             self._seen, *others = result
@@ -280,8 +265,9 @@ def _reset(
     env = outer.unwrapped
     in_time: Any = nullcontext()
     if environment is not None:
-        # because this reset makes the road
-        env.config |= copy.deepcopy(environment.config_of_wrappers)
+        # The wrappers may have changed the configuration, and the reset below makes the road.
+        if environment.wrapper_names:
+            env.config |= copy.deepcopy(environment.unwrapped.config)
         in_time = environment.in_time()
     objects: list[Any] = []
     reset = env._reset
@@ -552,9 +538,12 @@ class _Loop:
         driver = self._driver
         loop = self._run.loop
         if isinstance(driver, StockPolicy):
-            # some environments slow their traffic down in `reset`
+            # The first observation. All vehicles stay at the scenario's start positions, although some environments
+            # slow their traffic down in `reset`.
+            seed = self._run.scenario.seed
             hold = partial(self._make_npcs, "held")
-            driver.begin(self._around, self._run.scenario.seed, self._objects, hold)
+            with self._around.call():
+                driver.see(lambda: _reset_in_place(driver.outer, seed, self._objects, hold))
             self._make_npcs("seen")
             self._hz = self._rate()
             self._check_vehicles("reset")
@@ -567,11 +556,11 @@ class _Loop:
             if self._error is not None:
                 break
             has_failed = False
-            if isinstance(driver, StockPolicy):
-                driver.take_step(self._around)
-                has_failed = driver.failure is not None
-            else:  # the driver has set the ego's controls, and None does not change them
-                with self._around.call():
+            with self._around.call():
+                if isinstance(driver, StockPolicy):
+                    driver.see(lambda: driver.outer.step(driver.action))
+                    has_failed = driver.failure is not None
+                else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
             self._check_vehicles("step")
             self._check_objects()
@@ -647,11 +636,10 @@ class _Loop:
         if method == "step" and not changes and self._moved:
             changes.append(self._moved)
         if changes:
-            raise WorldError(
-                field="env_id",
-                expected="an environment that does not change the vehicles of a run",
-                received=f"{self._who}, whose `{method}` {' and '.join(changes)} at {self._seconds:.1f} s",
-                fix="if the environment has other vehicles, create them in `_reset`, so that the NPCs can replace "
+            raise refused_environment(
+                "an environment that does not change the vehicles of a run",
+                f"{self._who}, whose `{method}` {' and '.join(changes)} at {self._seconds:.1f} s",
+                "if the environment has other vehicles, create them in `_reset`, so that the NPCs can replace "
                 "them. For a vehicle that appears, moves or leaves, use an NPC",
             )
 
@@ -688,11 +676,10 @@ class _Loop:
             what = "a missing"
         x, y, *_ = min(known ^ found)
         env = type(self._env).__name__
-        raise WorldError(
-            field="env_id",
-            expected="an environment whose fixed objects never differ from those after a reset with seed 0",
-            received=f"{env}, with {what} object at ({x:.1f}, {y:.1f}) m at {self._seconds:.1f} s",
-            fix="create all objects in `_reset`, or create them at the same positions in each `reset`. For an object "
+        raise refused_environment(
+            "an environment whose fixed objects never differ from those after a reset with seed 0",
+            f"{env}, with {what} object at ({x:.1f}, {y:.1f}) m at {self._seconds:.1f} s",
+            "create all objects in `_reset`, or create them at the same positions in each `reset`. For an object "
             "that appears or moves, use an NPC",
         )
 
@@ -757,7 +744,7 @@ class _Loop:
         if isinstance(self._driver, StockPolicy):
             self._traffic.show_targets()
 
-    def _states(self) -> list[tuple[float, float, float, float]]:
+    def _states(self) -> list[State]:
         return [(body.x, body.y, body.heading, body.speed) for body in self._bodies]
 
     @property

@@ -16,7 +16,6 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.environment import (
     ModelPolicyDriver,
     ObjectDriver,
@@ -34,7 +33,13 @@ from pytest_pafot.world.driving.vehicles import (
 )
 from pytest_pafot.world.engines.run import OwnEnds, Rules, VehiclesOfRun, built_as, make_ego
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.gym_environment import OF_HIGHWAY_ENV, PLAIN, GymEnvironment, put_ego
+from pytest_pafot.world.gym_environment import (
+    OF_HIGHWAY_ENV,
+    PLAIN,
+    GymEnvironment,
+    put_ego,
+    refused_environment,
+)
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import MDPVehicle, Vehicle
@@ -63,6 +68,7 @@ def rollout(
         if ads.drives_itself:
             return _class_run(environment, env, rules, scenario, ads.given, ends_of)
         common = env, HangGuard(rules.hang_limit), rules.every, environment.traffic, view
+        # A user's class of ego, or an action type that limits its speed, needs its own code.
         lanes = environment.compiled_lanes
         is_plain = getattr(env.action_type, "speed_range", None) is None
         if type(env.vehicle) in (MDPVehicle, Vehicle) and is_plain and lanes is not None:
@@ -105,6 +111,7 @@ def _class_run(
         model = CompiledRoad(env.road, lanes).vehicle(ego)
         vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
         others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
+        # On a regulated road, the ego also yields to other vehicles.
         yielding = egos_rules(env.road, model, vehicles.places, rules, lanes)
         return vehicles.drive(ModelDriver(model, others, yielding), guard, ends_of(vehicles, guard))
     if rules.ends:
@@ -151,6 +158,7 @@ def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> C
         ego.position = np.array([body.x, body.y])
         ego.heading = body.heading
         ego.speed = body.speed
+        # The rewards and ends of some environments depend on the ego's controls.
         ego.action = {"steering": body.steering, "acceleration": body.acceleration}
         ego.on_state_update()
 
@@ -174,11 +182,10 @@ def put_policys_ego(
     try:
         signature.bind(None, [0.0, 0.0], 0.0, 0.0)
     except TypeError as error:
-        raise WorldError(
-            field="env_id",
-            expected="an environment whose ego has a class that can be called with (road, position, heading, speed)",
-            received=f"{type(own).__name__}{signature} ({error})",
-            fix="give the other parameters default values",
+        raise refused_environment(
+            "an environment whose ego has a class that can be called with (road, position, heading, speed)",
+            f"{type(own).__name__}{signature} ({error})",
+            "give the other parameters default values",
         ) from None
     vehicle_class = built_as(rules.ego, type(own))
     ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
@@ -203,6 +210,7 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     env.time = env.steps = 0
     env.road = environment.road(env.np_random)
     env.road.objects = copies_on(first.road.objects, env.road)
+    # Methods of the environment may keep counters in it.
     env.config = dict(env.config)
     if environment.own_state:
         # The ego of the reset is not copied, because `put_ego` looks for it.
@@ -226,6 +234,7 @@ def give_speeds(ego: Any, speeds: Any) -> None:
     """Set the target speeds of an ego that chooses between several speeds, as highway-env does."""
     if not isinstance(ego, MDPVehicle) or speeds is None:
         return
+    # Otherwise, the index that the class has chosen for its speed is kept.
     if not np.array_equal(ego.target_speeds, speeds):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)

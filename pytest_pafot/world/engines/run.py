@@ -12,7 +12,6 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pytest_pafot.criticality.measures import RelativePositions
-from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.instructions import Cell, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
@@ -52,6 +51,11 @@ MOST_TICKS = 400_000
 # The end of error messages for users whose simulator is not highway-env.
 OTHER_KIND = 'a pafot.Simulator, and use it in a pafot.SimulatorWorld (see the page "A simulator of your own")'
 
+# The state of a vehicle: x [m], y [m], heading [rad] and speed [m/s].
+State = tuple[float, float, float, float]
+# A fixed object: x [m], y [m], heading [rad], length [m] and width [m].
+FixedObject = tuple[float, float, float, float, float]
+
 # The largest change in speed [m/s^2], three times the hardest braking of a car.
 CHANGE = 30.0
 # The distance [m] that a vehicle may move in a tick beyond what its speeds allow.
@@ -64,7 +68,13 @@ MOVING = 2.0
 SHIFT = 0.1
 
 
-def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
+def number_within(
+    name: str,
+    value: object,
+    low: float,
+    high: float,
+    why: str = "",
+) -> float:
     """Return ``value`` as a float, or raise an error with ``why`` if it is not a number from ``low`` to ``high``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
@@ -81,7 +91,11 @@ def plain_data(name: str, value: Any) -> Any:
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):
-                raise WorldError(field=name, expected="strings as keys", received=repr(key))
+                raise WorldError(
+                    field=name,
+                    expected="strings as keys",
+                    received=repr(key),
+                )
         return {key: plain_data(f"{name}.{key}", item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain_data(f"{name}[{index}]", item) for index, item in enumerate(value)]
@@ -118,7 +132,12 @@ def check_divides(physics_name: str, physics_hz: int, ads_name: str, ads_hz: int
     higher = math.ceil(physics_hz / ads_hz) * ads_hz
     if higher <= PHYSICS_HZ[1]:
         fix += f", or set {physics_name} to {higher}"
-    raise WorldError(field=ads_name, expected=expected, received=str(ads_hz), fix=fix)
+    raise WorldError(
+        field=ads_name,
+        expected=expected,
+        received=str(ads_hz),
+        fix=fix,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,8 +158,7 @@ class Rules:
     # The wall-clock time after which a decision is interrupted [s].
     hang_limit: float
     ego: VehicleType
-    # Fixed objects: x [m], y [m], heading [rad], length and width [m].
-    obstacles: tuple[tuple[float, float, float, float, float], ...]
+    obstacles: tuple[FixedObject, ...]
     # The duration of each run [s], or None if the scenario and `duration` determine it.
     lasts: float | None = None
     # Decisions of the policy per second, if a reference driver changes `ads_hz`.
@@ -160,11 +178,6 @@ class Rules:
     @property
     def every(self) -> int:
         return round(self.physics_hz / self.ads_hz)
-
-    @property
-    def crossings(self) -> Crossings | None:
-        """The zones and paths for Crossing-Instructions, or None if no other path conflicts with the ego's path."""
-        return self.road.crossings
 
     @property
     def ego_start(self) -> float:
@@ -247,11 +260,8 @@ class Rules:
 
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
-) -> tuple[list[float], list[tuple[float, float, float, float]]]:
-    """Return the positions [m] of all vehicles along their paths at tick 0, with the ego first, and each NPC's start.
-
-    A start consists of x [m], y [m], heading [rad] and speed [m/s].
-    """
+) -> tuple[list[float], list[State]]:
+    """Return the positions [m] of all vehicles along their paths at the start, ego first, and the NPCs' states."""
     road = rules.road
     ego_start = rules.ego_start
     apart = rules.start_distance(scenario, ego_length)
@@ -508,7 +518,12 @@ class VehiclesOfRun:
 
     def _cell(self, npc: int, states: FloatArray, track: FloatArray | None) -> Cell | None:
         """Return the cell of an NPC at the impact, or None for an NPC that was not on the ego's path."""
-        positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
+        positions = RelativePositions(
+            states,
+            np.array(self.sizes),
+            self.rules.road.lanes,
+            track,
+        )
         if not positions.is_on_way[npc, -1]:
             return None
         cell = positions.last_cell(npc, self.loop.tick)

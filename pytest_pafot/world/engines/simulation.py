@@ -24,7 +24,7 @@ import numpy as np
 from pytest_pafot.model.trace import AdsError, vehicle_name
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.world.driving.policy import Unseeing, check_by
-from pytest_pafot.world.engines.run import Implausible, Plausibility, VehiclesOfRun
+from pytest_pafot.world.engines.run import Implausible, Plausibility, State, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
@@ -237,9 +237,7 @@ class Frame:
         dy = self.side * y * self.metres - self._y
         return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
 
-    def state(
-        self, row: Sequence[float], length: float, near: float
-    ) -> tuple[float, float, float, float]:
+    def state(self, row: Sequence[float], length: float, near: float) -> State:
         """Convert a row of the simulator's states to a run's x [m], y [m], heading [rad] and speed [m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
@@ -251,7 +249,7 @@ class Frame:
             y -= ahead * math.sin(heading)
         return x, y, heading, row[3] * self.speed
 
-    def stated(self, body: Any) -> tuple[float, float, float, float]:
+    def stated(self, body: Any) -> State:
         """Convert the state of a body to the units and axes of the simulator."""
         x = body.x
         y = body.y
@@ -500,22 +498,22 @@ class Simulation:
             received = f"{given!r:.200}"
             if rows.size:
                 received = f"an array of shape {rows.shape}"
-            raise WorldError(
-                field=self._place("states"),
-                expected=f"an array of shape ({count}, 4) with x, y, heading and speed of each vehicle, the ego first",
-                received=received,
+            raise self._refused(
+                "states",
+                f"an array of shape ({count}, 4) with x, y, heading and speed of each vehicle, the ego first",
+                received,
             )
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
-            raise WorldError(
-                field=self._place("states"),
-                expected="finite numbers",
-                received=f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}",
+            raise self._refused(
+                "states",
+                "finite numbers",
+                f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}",
             )
         stated: list[list[float]] = rows.tolist()
         return stated
 
-    def _in_run(self, rows: Any) -> list[tuple[float, float, float, float]]:
+    def _in_run(self, rows: Any) -> list[State]:
         return [
             self._frame.state(row, body.length, body.heading)
             for row, body in zip(rows, self._bodies, strict=True)
@@ -561,15 +559,18 @@ class Simulation:
                 continue
             turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
             off = abs((turned + 180.0) % 360.0 - 180.0)
-            raise WorldError(
-                field=self._place("states"),
-                expected=f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading",
-                received=f"a move of {math.hypot(*way):.2f} m, {off:.0f} degrees off that direction",
-                fix=f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}",
+            raise self._refused(
+                "states",
+                f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading",
+                f"a move of {math.hypot(*way):.2f} m, {off:.0f} degrees off that direction",
+                f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}",
             )
 
     def _place(self, method: str) -> str:
         return f"{type(self.simulator).__name__}.{method}, tick {self._tick}"
+
+    def _refused(self, method: str, expected: str, received: str, fix: str = "") -> WorldError:
+        return WorldError(field=self._place(method), expected=expected, received=received, fix=fix)
 
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
@@ -586,11 +587,11 @@ class Simulation:
                 guard.limit = limit
             guard.raise_swallowed()
         except AdsHang:
-            raise WorldError(
-                field=self._place(method),
-                expected=f"a return within {most:g} s",
-                received="none",
-                fix="increase the world's hang_limit",
+            raise self._refused(
+                method,
+                f"a return within {most:g} s",
+                "none",
+                "increase the world's hang_limit",
             ) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")

@@ -198,7 +198,7 @@ def test_record_has_no_room_for_ticks_beyond_the_run():
         Highway(),
         Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0),
     )
-    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), world.stock_road)
     for _ in range(world.rules.ticks(scenario)):
         run.loop.moved()
     with pytest.raises(IndexError, match="expected room for tick"):
