@@ -180,7 +180,8 @@ class BaseWorld(ABC):
         rules, lasts = self._rules, self.lasts
         if lasts is None:
             return rules
-        return replace(rules, lasts=min(lasts, (rules.road.length - rules.ego_start) / TOP_SPEED))
+        longest = (rules.road.length - rules.ego_start) / TOP_SPEED
+        return replace(rules, lasts=min(lasts, longest))
 
     @property
     @abstractmethod
@@ -527,7 +528,8 @@ class BaseWorld(ABC):
 
     def _has_cells(self, start: RoadStart, npcs: int) -> bool:
         # The number that fits depends only on the cells around the start, so any instructions will do.
-        chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
+        cells = list(Cell)[:npcs]
+        chains = tuple((PositionInstruction(cell, 0.0),) for cell in cells)
         seconds = self.tick or 1.0
         try:
             self.check_fits(

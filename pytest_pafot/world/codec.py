@@ -280,7 +280,9 @@ def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
         return math.inf
-    if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
+    low, high = PHYSICS_HZ
+    # `from_dict` rejects a file with another rate.
+    if own_rate is None or not isinstance(rate, int) or not low <= rate <= high:
         return float(seconds)
     return float(seconds * own_rate / rate)
 

@@ -732,8 +732,9 @@ def _beginning(outer: Any) -> dict[str, str]:
     found["road.objects"] = repr(obstacles_of(env))
     ego = env.vehicle
     if ego is not None:
-        place = [round(float(each), 6) for each in (*ego.position, ego.heading, ego.speed)]
-        found["vehicle"] = f"{type(ego).__name__} at {', '.join(map(str, place))}"
+        state = (*ego.position, ego.heading, ego.speed)
+        place = ", ".join(str(round(float(each), 6)) for each in state)
+        found["vehicle"] = f"{type(ego).__name__} at {place}"
         found["vehicle.target_speeds"] = repr(getattr(ego, "target_speeds", None))
     for name in ("observation_space", "action_space"):
         found[name] = repr(getattr(outer, name))
@@ -787,8 +788,9 @@ def obstacles_of(env: Any) -> tuple[FixedObject, ...]:
     found = []
     for each in env.road.objects:
         if each.solid:
-            x, y = map(float, each.position)
-            found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
+            place = (*each.position, each.heading, each.LENGTH, each.WIDTH)
+            x, y, heading, length, width = map(float, place)
+            found.append((x, y, heading, length, width))
     return tuple(found)
 
 

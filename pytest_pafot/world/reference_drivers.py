@@ -240,6 +240,7 @@ class CarefulHuman:
         """Return the highest acceleration [m/s^2] that vehicles on other paths allow, or infinity if there are none."""
         if not observation.crossing:
             return math.inf
+        # Only vehicles that the ego still has to meet.
         meeting = [
             other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0
         ]
@@ -401,10 +402,12 @@ def _along(vehicle: VehicleState) -> float:
 
 
 def _half_length(vehicle: VehicleState) -> float:
-    cos, sin = math.cos(vehicle.heading), abs(math.sin(vehicle.heading))
+    cos = math.cos(vehicle.heading)
+    sin = abs(math.sin(vehicle.heading))
     return (vehicle.length * cos + vehicle.width * sin) / 2
 
 
 def _half_width(vehicle: VehicleState) -> float:
-    cos, sin = math.cos(vehicle.heading), abs(math.sin(vehicle.heading))
+    cos = math.cos(vehicle.heading)
+    sin = abs(math.sin(vehicle.heading))
     return (vehicle.width * cos + vehicle.length * sin) / 2

@@ -269,7 +269,9 @@ class SimulatorWorld(BaseWorld):
             # Decisions are as far apart as possible, with at least 5 per second. If the ticks per second are a whole
             # number, they are a multiple of the ticks between decisions.
             slowest = int(hz / PLANNER_HZ + 1e-9)
-            return next(n for n in range(slowest, 0, -1) if not isinstance(hz, int) or hz % n == 0)
+            if not isinstance(hz, int):
+                return slowest
+            return next(n for n in range(slowest, 0, -1) if hz % n == 0)
         # A decision must last a whole number of ticks. The tolerance allows for rounded rates.
         ticks = hz / self.ads_hz
         every = max(round(ticks), 1)
@@ -665,10 +667,13 @@ def _uses(name: str, classes: Sequence[type[Any]]) -> int:
 
 def _start_on(line: Any, at: float | None) -> tuple[float, float, float]:
     """Return x [m], y [m] and heading [rad] on a centre line, at a position or with enough room behind it."""
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    lengths = np.concatenate(([0.0], np.cumsum(steps)))
     if at is None:
         at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
-    (x, ahead_x), (y, ahead_y) = (np.interp((at, at + 1), lengths, axis) for axis in line.T)
+    # A metre further along the line gives the heading.
+    x, ahead_x = np.interp((at, at + 1), lengths, line[:, 0])
+    y, ahead_y = np.interp((at, at + 1), lengths, line[:, 1])
     return x, y, math.atan2(ahead_y - y, ahead_x - x)
 
 
@@ -678,7 +683,8 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     except (TypeError, ValueError):
         # Reported below, like all other values that are not points.
         points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
+    is_line = points.ndim == 2 and points.shape[1] == 2 and len(points) >= 2
+    if not is_line or not np.isfinite(points).all():
         raise WorldError(
             field=place,
             expected="at least two points (x, y), in the direction of travel",

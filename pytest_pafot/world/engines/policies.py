@@ -67,7 +67,8 @@ def rollout(
     with closing(ads.given, rules.hang_limit):
         if ads.drives_itself:
             return _class_run(environment, env, rules, scenario, ads.given, ends_of)
-        common = env, HangGuard(rules.hang_limit), rules.every, environment.traffic, view
+        guard = HangGuard(rules.hang_limit)
+        common = env, guard, rules.every, environment.traffic, view
         # A user's class of ego, or an action type that limits its speed, needs its own code.
         lanes = environment.compiled_lanes
         is_plain = getattr(env.action_type, "speed_range", None) is None
@@ -79,8 +80,8 @@ def rollout(
         vehicles = _vehicles(rules, scenario, driver)
         ends = None
         if rules.ends:
-            ends = OwnEnds(env, rules.ends, rules, driver.guard, driver.show_all)
-        return vehicles.drive(driver, driver.guard, ends)
+            ends = OwnEnds(env, rules.ends, rules, guard, driver.show_all)
+        return vehicles.drive(driver, guard, ends)
 
 
 def make_ads(policy: Policy, view: View | None) -> Ads:
@@ -103,17 +104,20 @@ def _class_run(
     lanes = environment.compiled_lanes
     vehicle_class = built_as(rules.ego, given)
     ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
-    # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
-    has_more = env.road.objects or isinstance(env.road, EgosRegulatedRoad)
-    is_unknown = has_more and isinstance(lanes, StraightRoad)
-    if idm_model(vehicle_class) is not None and lanes is not None and not is_unknown:
-        # The kernel drives an IDM on lanes that it supports.
+    # The kernel drives an IDM on lanes that it supports.
+    is_known = idm_model(vehicle_class) is not None
+    if isinstance(lanes, StraightRoad):
+        # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
+        has_more = env.road.objects or isinstance(env.road, EgosRegulatedRoad)
+        is_known = is_known and not has_more
+    if is_known and lanes is not None:
         model = CompiledRoad(env.road, lanes).vehicle(ego)
         vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
         others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
         # On a regulated road, the ego also yields to other vehicles.
         yielding = egos_rules(env.road, model, vehicles.places, rules, lanes)
-        return vehicles.drive(ModelDriver(model, others, yielding), guard, ends_of(vehicles, guard))
+        kernel_driver = ModelDriver(model, others, yielding)
+        return vehicles.drive(kernel_driver, guard, ends_of(vehicles, guard))
     if rules.ends:
         put_ego(env, ego)
     driver = ObjectDriver(ego, env.road, guard)
@@ -176,7 +180,8 @@ def put_policys_ego(
     own = env.vehicle
     if type(own) is usual_class(env.action_type):
         vehicle_class = built_as(rules.ego, env.action_type.vehicle_class)
-        put_ego(env, make_ego(rules, scenario, vehicle_class, env.road, environment.route))
+        ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
+        put_ego(env, ego)
         return
     signature = inspect.signature(type(own))
     try:

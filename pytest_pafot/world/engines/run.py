@@ -404,6 +404,9 @@ class VehiclesOfRun:
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
         """Return the trace up to the current tick. ``error`` is the policy's error that ended the run, if any."""
         loop = self.loop
+        rules = self.rules
+        places = self.places
+        director = self.director
         has_touched = loop.ego_touched or loop.npcs_touched
         # A jump in speed in the last tick is an error of the user's code, unless a collision explains it.
         if self.plausibility is not None and self.plausibility.doubt and not has_touched:
@@ -418,34 +421,33 @@ class VehiclesOfRun:
         outcome = self._outcome(error, off_road_tick)
         ticks = len(self.rows) // (len(self.sizes) * COLUMNS)
         track = on_way = collision = None
-        if len(self.places.track):
-            tracks = np.array(self.places.track).reshape(ticks, len(self.sizes), -1)
-            track = tracks[: len(states)]
-        if len(self.places.on_way):
-            on_way = np.array(self.places.on_way).reshape(ticks, -1)[: len(states)]
+        if len(places.track):
+            track = np.array(places.track).reshape(ticks, len(self.sizes), -1)[: len(states)]
+        if len(places.on_way):
+            on_way = np.array(places.on_way).reshape(ticks, -1)[: len(states)]
         if outcome is Outcome.COLLISION:
             collision = self._collision(states, track)
         return Trace(
             scenario=self.scenario,
-            executed=self.director.executed,
+            executed=director.executed,
             outcome=outcome,
             collision=collision,
             error=error,
             states=states,
             sizes=np.array(self.sizes),
-            lanes=self.rules.road.lanes,
-            physics_hz=self.rules.physics_hz,
-            ads_hz=self.rules.ads_hz,
+            lanes=rules.road.lanes,
+            physics_hz=rules.physics_hz,
+            ads_hz=rules.ads_hz,
             actions=tuple(driver.actions),
-            arrivals=self.director.arrivals,
+            arrivals=director.arrivals,
             off_road_tick=off_road_tick,
             max_decision_seconds=driver.slowest,
             track=track,
-            zones=self.rules.road.zones(self.scenario),
+            zones=rules.road.zones(self.scenario),
             on_way=on_way,
-            driven=self.director.driven_cells,
-            obstacles=self.rules.obstacles,
-            ego_vehicle=self.rules.ego,
+            driven=director.driven_cells,
+            obstacles=rules.obstacles,
+            ego_vehicle=rules.ego,
             ended=self.ended,
         )
 
