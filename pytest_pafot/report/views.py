@@ -30,9 +30,9 @@ from pytest_pafot.searches.harness import collision_in_short
 from pytest_pafot.searches.refine.moment import text_of as text_of_action
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.support.text import capitalised, plural
-from pytest_pafot.world.engines.run import CLEARANCE
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
+from pytest_pafot.world.limits import CLEARANCE
 
 Numbers = tuple[float | None, ...]
 Place = tuple[float, float, float]

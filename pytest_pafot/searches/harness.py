@@ -24,7 +24,6 @@ from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, sever
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
-from pytest_pafot.model.vehicle_type import TOP_SPEED
 from pytest_pafot.oracle.run import Recording, Rejected, Run, recorded
 from pytest_pafot.searches.request import AgainstError, Request
 from pytest_pafot.support.errors import RequestError
@@ -35,6 +34,7 @@ from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Perception, Policy, hint_at_object, sight_of
 from pytest_pafot.world.guard.hang_guard import UNFIT, exits, is_interruption, let_through
 from pytest_pafot.world.kernel.action import LaneCommand, possible_acceleration, possible_steering
+from pytest_pafot.world.limits import TOP_SPEED
 
 # The user's test function, with all arguments except the run already bound. It asserts, and returns None.
 Test = Callable[[Run], Any]

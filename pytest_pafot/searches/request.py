@@ -30,7 +30,7 @@ from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldE
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.codec import checked_world
 from pytest_pafot.world.driving.policy import AdsFactory, hint_at_object
-from pytest_pafot.world.engines.run import PLANNER_HZ
+from pytest_pafot.world.limits import PLANNER_HZ
 
 # The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway.
 NPCS = 4

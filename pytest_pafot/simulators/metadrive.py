@@ -18,8 +18,8 @@ import numpy as np
 
 from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import WorldError, install, refused_policy
-from pytest_pafot.world.engines.run import whole_within
 from pytest_pafot.world.engines.simulation import Simulator
+from pytest_pafot.world.limits import whole_within
 from pytest_pafot.world.simulator_world import MOST_LANES, SimulatorWorld
 
 if TYPE_CHECKING:

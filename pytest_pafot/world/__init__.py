@@ -15,7 +15,6 @@ In a :class:`pytest_pafot.SimulatorWorld`, a simulator determines the states aft
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle
-from pytest_pafot.model.vehicle_type import NpcLimits
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import Highway
 from pytest_pafot.world.codec import from_dict
@@ -24,6 +23,7 @@ from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.action import LaneCommand
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [

@@ -24,23 +24,13 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario, rng_of
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import (
-    CAR,
-    TIGHTEST,
-    TOP_SPEED,
-    NpcLimits,
-    VehicleName,
-    VehicleType,
-)
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleName, VehicleType
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import AdsFactoryError, DriverError, FieldError, WorldError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.policy import AdsFactory, Policy, ads_and_sight, idm_model
 from pytest_pafot.world.engines.run import (
     ADS_HZ,
-    CLEARANCE,
-    HANG_LIMIT,
-    HEADWAY,
     PHYSICS_HZ,
     FixedObject,
     OwnEnds,
@@ -50,9 +40,7 @@ from pytest_pafot.world.engines.run import (
     check_divides,
     check_ticks,
     make_ego,
-    number_within,
     planner_driver,
-    whole_within,
 )
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
@@ -60,6 +48,15 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.kernel.observation import Observation
+from pytest_pafot.world.limits import (
+    CLEARANCE,
+    HANG_LIMIT,
+    HEADWAY,
+    TOP_SPEED,
+    NpcLimits,
+    number_within,
+    whole_within,
+)
 from pytest_pafot.world.reference_drivers import REFERENCES, CarefulHuman, RecordedBody, Relief
 from pytest_pafot.world.roads.road import Meeting, Road, StraightRoad, ego_start
 

@@ -15,12 +15,12 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.vehicle_type import NpcLimits
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences, listed, safe_repr
 from pytest_pafot.world.base_world import BaseWorld, Highway
 from pytest_pafot.world.engines.run import PHYSICS_HZ
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 # The class names of the package's simulators, by their `kind` in files, which is also the name of their module.

@@ -33,14 +33,7 @@ from pytest_pafot.world.driving.vehicles import (
     straight_road,
     traffic_class,
 )
-from pytest_pafot.world.engines.run import (
-    ADS_HZ,
-    OTHER_KIND,
-    PHYSICS_HZ,
-    FixedObject,
-    plain_data,
-    whole_within,
-)
+from pytest_pafot.world.engines.run import ADS_HZ, OTHER_KIND, PHYSICS_HZ, FixedObject, plain_data
 from pytest_pafot.world.guard.hang_guard import (
     UNFIT,
     AdsHang,
@@ -50,6 +43,7 @@ from pytest_pafot.world.guard.hang_guard import (
     patience_with_world,
 )
 from pytest_pafot.world.kernel.lane_network import Network
+from pytest_pafot.world.limits import whole_within
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,

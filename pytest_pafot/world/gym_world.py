@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, TOP_SPEED, NpcLimits
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, EgoVehicle
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 from pytest_pafot.world.engines.run import (
     ADS_HZ,
-    CLEARANCE,
-    HANG_LIMIT,
-    HEADWAY,
     OTHER_KIND,
     PHYSICS_HZ,
     OwnEnds,
@@ -26,11 +23,18 @@ from pytest_pafot.world.engines.run import (
     VehiclesOfRun,
     check_divides,
     check_ticks,
-    number_within,
     plain_data,
-    whole_within,
 )
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
+from pytest_pafot.world.limits import (
+    CLEARANCE,
+    HANG_LIMIT,
+    HEADWAY,
+    TOP_SPEED,
+    NpcLimits,
+    number_within,
+    whole_within,
+)
 from pytest_pafot.world.roads.road import Meeting, Road
 
 if TYPE_CHECKING:

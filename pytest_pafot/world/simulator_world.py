@@ -19,24 +19,18 @@ import numpy as np
 from pytest_pafot.findings.finding import DRIVEN_ON, check_plain
 from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, TOP_SPEED, NpcLimits
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, EgoVehicle, FirstDecision
 from pytest_pafot.world.driving.policy import AdsFactory, Policy, ads_and_sight
 from pytest_pafot.world.engines.run import (
     ADS_HZ,
-    CLEARANCE,
-    HANG_LIMIT,
-    HEADWAY,
     PHYSICS_HZ,
-    PLANNER_HZ,
     FixedObject,
     Rules,
     check_ticks,
-    number_within,
     plain_data,
     planner_driver,
-    whole_within,
 )
 from pytest_pafot.world.engines.simulation import (
     Frame,
@@ -51,6 +45,16 @@ from pytest_pafot.world.engines.simulation import (
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
+from pytest_pafot.world.limits import (
+    CLEARANCE,
+    HANG_LIMIT,
+    HEADWAY,
+    PLANNER_HZ,
+    TOP_SPEED,
+    NpcLimits,
+    number_within,
+    whole_within,
+)
 from pytest_pafot.world.roads.road import Road, StraightRoad, ego_start
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, 
 from pytest_pafot.world.driving.vehicles import StockVehicle, straight_road
 from pytest_pafot.world.engines.gym_replay import end_of, stand_in
 from pytest_pafot.world.engines.policies import make_ads
-from pytest_pafot.world.engines.run import PLANNER_HZ, Plausibility
+from pytest_pafot.world.engines.run import Plausibility
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, closing, error_of
 from pytest_pafot.world.gym_environment import (
     ENDS,
@@ -37,6 +37,7 @@ from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer
+from pytest_pafot.world.limits import PLANNER_HZ
 
 # Returns what the ego has done in an episode so far: `crashed`, `moved`, both or neither.
 Watch = Callable[[], set[str]]

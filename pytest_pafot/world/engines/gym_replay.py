@@ -57,7 +57,6 @@ from pytest_pafot.world.engines.run import (
     check_divides,
     make_ego,
     planner_driver,
-    whole_within,
 )
 from pytest_pafot.world.guard.hang_guard import (
     UNFIT,
@@ -82,6 +81,7 @@ from pytest_pafot.world.gym_environment import (
 )
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
+from pytest_pafot.world.limits import whole_within
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork
 
 # highway-env's intersections change their traffic with these methods after each step.

@@ -26,23 +26,17 @@ from pytest_pafot.model.trace import (
     Trace,
     vehicle_name,
 )
-from pytest_pafot.model.vehicle_type import CAR, NpcLimits, VehicleType
-from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.policy import give_route
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.crossing import JunctionDirector
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.road import Pose, Road
 
-# The defaults of worlds: the gap between the ego and the cells ahead of and behind it [m], the time gap at which NPCs
-# start in these cells [s], and the wall-clock limit of a decision [s].
-CLEARANCE = 3.0
-HEADWAY = 2.0
-HANG_LIMIT = 30.0
-# Decisions of a planner per second, as in a Highway. If there are fewer ticks per second, each tick has a decision.
-PLANNER_HZ = 5
 # The smallest and largest accepted rates: physics ticks, and decisions per second.
 PHYSICS_HZ = (5, 1000)
 ADS_HZ = (1, 1000)
@@ -66,24 +60,6 @@ SPEED_SLACK = 2.5
 STILL = 0.5
 MOVING = 2.0
 SHIFT = 0.1
-
-
-def number_within(
-    name: str,
-    value: object,
-    low: float,
-    high: float,
-    why: str = "",
-) -> float:
-    """Return ``value`` as a float, or raise an error with ``why`` if it is not a number from ``low`` to ``high``."""
-    expected = f"a number from {low:g} to {high:g}{why}"
-    return checked_number(value, name, expected, least=low, most=high, error=WorldError)
-
-
-def whole_within(name: str, value: object, low: int, high: int) -> int:
-    """Return ``value`` as an int, or raise an error if it is not a whole number from ``low`` to ``high``."""
-    expected = f"a whole number from {low} to {high}"
-    return checked_whole(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def plain_data(name: str, value: Any) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from pytest_pafot.model.trace import Side
-from pytest_pafot.model.vehicle_type import TOP_SPEED
+from pytest_pafot.world.limits import TOP_SPEED
 
 # values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane
 COLUMNS = 7

@@ -17,7 +17,7 @@ from typing import Any
 from pytest_pafot.model.crossings import APART, BEFORE_LINE, EGOS, STEP, longer
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.vehicle_type import BEND_SHARE, CAR, NpcLimits
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import BaseDirector, NetworkDirector, Npc, Start
 from pytest_pafot.world.kernel.driver import (
@@ -28,6 +28,7 @@ from pytest_pafot.world.kernel.driver import (
     speed_for_braking,
 )
 from pytest_pafot.world.kernel.lanes import Track
+from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
 # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
 FREEZE = 3.0

@@ -21,7 +21,7 @@ from pytest_pafot.model.instructions import (
     toss,
 )
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
-from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, NpcLimits
+from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -34,6 +34,7 @@ from pytest_pafot.world.kernel.driver import (
     stopping_room,
 )
 from pytest_pafot.world.kernel.lanes import Bends, Lanes
+from pytest_pafot.world.limits import NpcLimits
 
 # lateral distance from a cell's centre within which an NPC has arrived [m]; along the lane, it is half the NPC's length
 ARRIVED_LATERAL = 0.5

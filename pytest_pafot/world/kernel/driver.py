@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 
-from pytest_pafot.model.vehicle_type import CAR, NpcLimits
+from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.world.limits import NpcLimits
 
 SPEED_GAIN = 1.5  # acceleration per unit of speed error [1/s]
 GAP_GAIN = 0.7  # speed relative to the ego, per metre of distance to the cell's centre [1/s]

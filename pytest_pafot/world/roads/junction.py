@@ -34,11 +34,12 @@ from pytest_pafot.model.crossings import (
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, NpcLimits, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc, JunctionDirector
 from pytest_pafot.world.kernel.director import Director, NetworkDirector
 from pytest_pafot.world.kernel.lanes import Track
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import (
     SPEED_LAG,
     STEP,

@@ -21,13 +21,14 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
-from pytest_pafot.model.vehicle_type import BEND_SHARE, CAR, NpcLimits, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import JunctionDirector
 from pytest_pafot.world.kernel.director import Director, NetworkDirector
 from pytest_pafot.world.kernel.lanes import Bends, Track
 from pytest_pafot.world.kernel.observation import RoadSensor, Sensor
 from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 
 # deceleration of an NPC before a bend or the end of a lane [m/s^2]; at most a third of its limit

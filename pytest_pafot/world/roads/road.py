@@ -16,7 +16,7 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Lane
-from pytest_pafot.model.vehicle_type import CAR, TOP_SPEED, NpcLimits, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.policy import ImperfectSensor
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import JunctionDirector
@@ -24,6 +24,7 @@ from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
 """The kind of conflict between another road and the ego's path. A road that only branches off does not conflict."""

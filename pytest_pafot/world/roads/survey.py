@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.trace import FloatArray, Lane
-from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, NpcLimits
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import (
     STEP,
     Column,
