@@ -47,8 +47,7 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Col
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
-from pytest_pafot.world.limits import CONNECTED
+from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle

@@ -31,12 +31,12 @@ from pytest_pafot.world.driving.vehicles import (
     is_regulated,
     state_of,
 )
+from pytest_pafot.world.engines.run import Plausibility
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.lane_network import FEATURES, Network, Table
 from pytest_pafot.world.kernel.lanes import Body, Places
 from pytest_pafot.world.kernel.loop import EgoDriver
-from pytest_pafot.world.plausible import Plausibility
 from pytest_pafot.world.roads.road import Pose, StraightRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.stock import (

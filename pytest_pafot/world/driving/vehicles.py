@@ -14,6 +14,7 @@ import numpy as np
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
+from pytest_pafot.world.engines.run import Rules
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
@@ -22,7 +23,6 @@ from pytest_pafot.world.kernel.lanes import Body, Places
 from pytest_pafot.world.roads.network import STEP, NetworkRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.roads.road import StraightRoad
-from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import (
     CircularLane,
     ControlledVehicle,

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from example_ads import defects
 from pytest_pafot import Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import base_world as egos
 from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
@@ -198,7 +198,7 @@ def test_record_has_no_room_for_ticks_beyond_the_run():
         Highway(),
         Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0),
     )
-    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), world.stock_road)
     for _ in range(world.rules.ticks(scenario)):
         run.loop.moved()
     with pytest.raises(IndexError, match="expected room for tick"):
