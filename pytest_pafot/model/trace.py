@@ -517,6 +517,10 @@ class Trace:
         """The headings [rad] relative to the road, by tick and vehicle."""
         return self.road.angles
 
+    def zone_of(self, npc: int) -> Zone | None:
+        # Empty `zones` mean that no NPC crosses.
+        return self.zones[npc] if self.zones else None
+
     def rows_until(self, tick: int) -> dict[str, Any]:
         # The arrays with one row per tick up to this one, by the names of their fields.
         arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}

@@ -17,8 +17,13 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
-from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
+from pytest_pafot.attribution.responsibility import (
+    Attribution,
+    Responsibility,
+    attribute_collision,
+    decide_contested,
+    position_rule,
+)
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
