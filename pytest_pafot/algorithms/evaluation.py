@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from pytest_pafot.algorithms.space import repaired
-from pytest_pafot.criticality import Encounters, min_gap, time_advantage, ttc
+from pytest_pafot.criticality import min_gap, time_advantage, ttc
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.support.text import plural
@@ -166,7 +166,7 @@ def has_interaction(trace: Trace) -> bool:
     if trace.road.is_straight:
         ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
     else:
-        ahead = Encounters(trace).ahead
+        ahead = trace.road.ahead
     gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
     follower = np.where(ahead >= 0, speed[0], speed[1:])
     is_close = (lane[1:] == lane[0]) & (

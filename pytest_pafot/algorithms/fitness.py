@@ -117,7 +117,7 @@ def av_fuzzer(trace: Trace) -> float:
     ticks = sorted({min(tick, trace.ticks) for tick in (*samples, *hit)})
     frame = criticality.RoadFrame(trace)
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
-    cos, sin = criticality.Encounters(trace).road
+    cos, sin = trace.road.direction
     heading = trace.ego[:, HEADING]
     turns = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])[ticks] > math.sin(TURNING)
     distance = np.where(

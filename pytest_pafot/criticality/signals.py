@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.criticality.measures import Encounters, encounters_of, gap, longitudinal_gap, ttc
+from pytest_pafot.criticality.measures import encounters_of, gap, longitudinal_gap, ttc
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Trace
 
@@ -54,10 +54,9 @@ class Passage:
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
     """Return, for each NPC, the passage through the zone where its path crosses the ego's, or None without a zone."""
     # A user's world may record zones without the positions of the vehicles on their paths.
-    zones = trace.zones if _has_positions(trace) else ()
-    return tuple(
-        _passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0]))
-    )
+    if not trace.zones or not _has_positions(trace):
+        return (None,) * len(trace.npcs[0])
+    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
@@ -72,17 +71,14 @@ def time_advantage(trace: Trace) -> FloatArray:
         if not _has_positions(trace):
             advantage[:, npc] = np.nan
             continue
-        ego, other = (
-            [
-                _seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz)
-                for place in stretch
-            ]
-            for vehicle, along, stretch in _paths_to_zone(trace, npc, zone)
+        (ego_enters, ego_leaves), (npc_enters, npc_leaves) = (
+            [_seconds_to(place, along, speed, trace.physics_hz) for place in stretch]
+            for along, speed, stretch in _paths_to_zone(trace, npc, zone)
         )
         with np.errstate(invalid="ignore"):  # inf - inf, if both never arrive
-            gap = np.maximum(other[0] - ego[1], ego[0] - other[1])
+            gap = np.maximum(npc_enters - ego_leaves, ego_enters - npc_leaves)
         # If both would be in the zone together, the advantage is 0.
-        is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
+        is_alone = np.isposinf(ego_enters) | np.isposinf(npc_enters)
         advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
     return advantage
 
@@ -95,11 +91,10 @@ def _has_positions(trace: Trace) -> bool:
 def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
     if zone is None:
         return None
-    enters_and_leaves = [
+    (ego_enters, ego_leaves), (npc_enters, npc_leaves) = (
         [_first_at(place, along) / trace.physics_hz for place in stretch]
-        for _, along, stretch in _paths_to_zone(trace, npc, zone)
-    ]
-    (ego_enters, ego_leaves), (npc_enters, npc_leaves) = enters_and_leaves
+        for along, _, stretch in _paths_to_zone(trace, npc, zone)
+    )
     return Passage(
         npc=npc,
         zone=zone,
@@ -112,10 +107,11 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 def _paths_to_zone(
     trace: Trace, npc: int, zone: Zone
-) -> tuple[tuple[int, FloatArray, Stretch], ...]:
-    # For the ego and the NPC: the index of the vehicle, its positions along its path [m], and its section of the zone.
-    on_way: Any = trace.on_way
-    return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
+) -> tuple[tuple[FloatArray, FloatArray, Stretch], ...]:
+    # For the ego and the NPC: the positions along the path [m], the speeds [m/s], and the section of the zone.
+    speeds = trace.states[:, :, SPEED]
+    ego = (trace.track_of(0)[:, ALONG], speeds[:, 0], zone.ego)
+    return ego, (trace.way_of(npc), speeds[:, npc + 1], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:
@@ -130,12 +126,12 @@ def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -
     # The seconds until a vehicle reaches a position at its present speed, at each tick.
     ticks = np.arange(len(along))
     is_moving = speed > 0
-    ahead: FloatArray = np.where(
-        is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf
-    )
+    seconds = (place - along) / np.where(is_moving, speed, 1.0)
+    ahead = np.where(is_moving, seconds, np.inf)
     # After the vehicle has reached the position, the time is 0 or negative.
     first = _first_at(place, along)
-    return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)
+    since = (min(first, len(along)) - ticks) / hz
+    return np.where(ticks >= first, since, ahead)
 
 
 # The values of a measure that are worse for the ego: low values, high values, values far from 0, or no values.
@@ -157,27 +153,28 @@ class Measure:
         """Return the run's worst value of the measure as a fitness between -1 and 1."""
         # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
         # values are worse cannot be a fitness.
-        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](
-            self.function(trace)
-        )
-        worst = float(risk.max(initial=-np.inf))
-        return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
+        sign = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse]
+        worst = float(sign(self.function(trace)).max(initial=-np.inf))
+        if math.isinf(worst):
+            return math.copysign(1.0, worst)
+        return worst / (1 + abs(worst))
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
     """Return, for each tick, the index of the nearest NPC ahead in the ego's lane, or -1."""
     encounters = encounters_of(trace)
-    is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
+    ahead = encounters.road.ahead
+    is_leading = encounters.same_lane & ~(ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
-    nearest: npt.NDArray[np.intp] = np.vstack(
-        (nobody, np.where(is_ahead, encounters.ahead, np.inf))
-    ).argmin(axis=0)
+    distances = np.vstack((nobody, np.where(is_leading, ahead, np.inf)))
+    nearest: npt.NDArray[np.intp] = distances.argmin(axis=0)
     return nearest - 1
 
 
 def headway(trace: Trace) -> FloatArray:
     """Return, for each tick, the time [s] until the ego reaches the rear of its :func:`leader`."""
-    ahead, speed = leader(trace), trace.ego[:, SPEED]
+    ahead = leader(trace)
+    speed = trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
     seconds = np.full(len(ahead), np.inf)  # without a leader, or while the ego is stationary
     seconds[moves] = longitudinal_gap(trace)[moves, ahead[moves]] / speed[moves]
@@ -227,10 +224,13 @@ def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
     changed = np.flatnonzero(np.diff(lane[on_road]))
     if not changed.size:
         return ()
-    encounters, gap, found = encounters_of(trace), longitudinal_gap(trace), []
+    encounters = encounters_of(trace)
+    gap = longitudinal_gap(trace)
+    found = []
     for at in changed:
         before, tick = on_road[at : at + 2].tolist()
-        is_there, is_ahead = encounters.same_lane[:, tick], ~(encounters.ahead[:, tick] < 0)
+        is_there = encounters.same_lane[:, tick]
+        is_ahead = ~(encounters.road.ahead[:, tick] < 0)
         change = EgoLaneChange(
             tick=tick,
             time=tick / trace.physics_hz,
@@ -257,11 +257,11 @@ def _npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
 
 
 def _ahead(trace: Trace) -> FloatArray:
-    return Encounters(trace).ahead  # not the cached one, because the caller may change the array
+    return trace.road.ahead  # not a cached one, because the caller may change the array
 
 
 def _right(trace: Trace) -> FloatArray:
-    return Encounters(trace).right
+    return trace.road.right
 
 
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
@@ -331,12 +331,12 @@ class Signals:
                 )
             values.flags.writeable = False
             self._values[function] = values
-        if (values.ndim == 2) is (npc is None):
-            wanted = (
-                "an index such as npc=0, because the signal has one row for each NPC"
-                if npc is None
-                else "no npc="
-            )
+        wanted = ""
+        if npc is None and values.ndim == 2:
+            wanted = "an index such as npc=0, because the signal has one row for each NPC"
+        if npc is not None and values.ndim == 1:
+            wanted = "no npc="
+        if wanted:
             raise ValueError(
                 f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}"
             )
@@ -344,16 +344,15 @@ class Signals:
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
         # Yields the name and the values of each measure, with `npcs[0].ttc` and so on for a measure of each NPC.
-        npcs = range(self.trace.states.shape[1] - 1)
-        # The time advantage is defined only for NPCs that cross.
-        crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
             vehicle, _, name = measure.name.partition(".")
-            if vehicle == "npcs":
-                for npc in crossing if name == "time_advantage" else npcs:
-                    yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
-            else:
+            if vehicle != "npcs":
                 yield measure.name, self.values_of(measure.function)
+                continue
+            for npc in range(self.trace.states.shape[1] - 1):
+                # The time advantage is defined only for NPCs that cross.
+                if name != "time_advantage" or self.trace.zone_of(npc) is not None:
+                    yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
 
     @property
     def ego(self) -> EgoSignals:
@@ -372,14 +371,13 @@ class _Vehicle:
     _of: str
 
     def __init__(self, signals: Signals, npc: int | None = None) -> None:
-        self._signals, self._npc = signals, npc
+        self._signals = signals
+        self._npc = npc
 
     def __dir__(self) -> list[str]:
+        measures = [name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)]
         more = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
-        return [
-            *(name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)),
-            *more,
-        ]
+        return measures + more
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -419,8 +417,7 @@ class NpcSignals(_Vehicle):
     @property
     def zone(self) -> Zone | None:
         """The zone where the NPC's path crosses the ego's path, or None."""
-        zones = self._signals.trace.zones
-        return zones[self._npc or 0] if zones else None
+        return self._signals.trace.zone_of(self._npc or 0)
 
     @property
     def passage(self) -> Passage | None:

@@ -674,7 +674,7 @@ class Run:
             return None
         # of equal values, the first tick and NPC
         tick, npc = divmod(int(values.argmin()), values.shape[1])
-        cell = criticality.Encounters(self.trace).last_cell(npc, tick)
+        cell = self.trace.road.last_cell(npc, tick, float(self.trace.sizes[0, 0]))
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def _headline(self) -> str:

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.criticality import Encounters
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run, crossing_text
@@ -52,9 +51,9 @@ def test_merged_npc_has_a_cell_after_its_zone():
         (80, "from the right in the zone o2>o4"),
         (82, "in cell 2 (front)"),
     ):
-        cell = Encounters(run.trace).cell(0, tick)
+        cell = run.trace.road.cell(0, tick, run.trace.sizes[0, 0])
         assert run.place_of(replace(run.closest_approach, tick=tick, cell=cell)) == place
-    assert Encounters(run.trace).cell(0, 80) == Cell.FRONT
+    assert run.trace.road.cell(0, 80, run.trace.sizes[0, 0]) == Cell.FRONT
 
 
 def test_collision_place_without_record_is_left_out():

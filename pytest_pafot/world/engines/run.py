@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.criticality.measures import RelativePositions
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.sight import Sight
@@ -21,7 +20,9 @@ from pytest_pafot.model.trace import (
     Collision,
     FloatArray,
     Outcome,
+    RoadOfRun,
     Trace,
+    road_of_run,
 )
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
@@ -162,7 +163,7 @@ class VehiclesOfRun:
             )
         npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
         other = states[-1, npc + 1]
-        positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
+        road = road_of_run(states, self.rules.road.lanes, track)
         both = states[-1, [0, npc + 1]]
         # a vehicle with turned wheels slips
         course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))
@@ -172,17 +173,17 @@ class VehiclesOfRun:
             time=tick / self.rules.physics_hz,
             npc=npc,
             side=side_hit(before[0], before[npc + 1]),
-            cell=self._cell(npc, positions),
+            cell=self._cell(npc, road),
             ego_speed=float(ego[SPEED]),
             npc_speed=float(other[SPEED]),
             closing_speed=float(np.hypot(*(velocity[:, 0] - velocity[:, 1]))),
         )
 
-    def _cell(self, npc: int, positions: RelativePositions) -> Cell | None:
+    def _cell(self, npc: int, road: RoadOfRun) -> Cell | None:
         # None for an NPC that was not on the ego's path.
-        if not positions.is_on_way[npc, -1]:
+        if not road.is_on_way[npc, -1]:
             return None
-        cell = positions.last_cell(npc, self.loop.tick)
+        cell = road.last_cell(npc, self.loop.tick, self.sizes[0][0])
         crossings = self.scenario.crossings[: npc + 1]
         if cell is not None or (crossings and crossings[-1] is not None):
             return cell
