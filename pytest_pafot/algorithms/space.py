@@ -20,6 +20,7 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     are_valid,
+    chains_of,
     known,
     random_lanes,
     repair_chains,
@@ -513,9 +514,8 @@ def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[Positio
     # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
     steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
-    return chains_of(
-        walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
-    )
+    speeds = rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes))
+    return chains_of(PositionInstruction, walks, speeds.tolist())
 
 
 def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -525,19 +525,6 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
         on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
     chains = (*on_cells, *((crossing.sample(rng),) for _ in range(count)))
     return repaired(crossing.without_conflicts(chains, rng), fresh_seed(rng), space)
-
-
-def chains_of(
-    cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]
-) -> list[list[PositionInstruction]]:
-    """Build a chain for each NPC from its cells and its speeds, which are in units of 0.1 m/s."""
-    return [
-        [
-            known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS)
-            for cell, speed in zip(*chain, strict=True)
-        ]
-        for chain in zip(cells, speeds, strict=True)
-    ]
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
