@@ -16,6 +16,7 @@ from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
     Act,
     CrossingInstruction,
+    pick,
 )
 from pytest_pafot.model.scenario import Chromosome
 
@@ -60,8 +61,7 @@ class CrossingTraffic:
             ValueError: if almost no instruction fits.
         """
         for _ in range(MOST_ATTEMPTS):
-            zones = self.crossings.zones
-            zone = zones[int(rng.integers(len(zones)))].way
+            zone = pick(self.crossings.zones, rng).way
             instruction = CrossingInstruction(
                 zone, sample_slot(rng), self._speed(zone, rng), self._act(rng)
             )
@@ -76,24 +76,27 @@ class CrossingTraffic:
         """Change the slot, speed or act, or sample a new instruction. The result may not fit its path."""
         share = rng.random()
         if share < SLOT_CHANGE:
-            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (
-                1 if rng.integers(2) else -1
-            )
+            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND))
+            if not rng.integers(2):
+                step = -step
             slot = instruction.slot + step / SLOT_STEPS_PER_SECOND
             return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
         if share < SLOT_CHANGE + SPEED_CHANGE:
             return replace(instruction, speed=self._speed(instruction.zone, rng))
         if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE:
             others = [act for act in ACTS if act != instruction.act]
-            return replace(instruction, act=others[int(rng.integers(len(others)))])
+            return replace(instruction, act=pick(others, rng))
         return self.sample(rng)
 
     def first_with_room(
         self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
     ) -> CrossingInstruction | None:
         """Return the first of 30 proposals for which :meth:`has_room` is True, or None."""
-        proposals = (propose() for _ in range(ATTEMPTS))
-        return next((each for each in proposals if self.has_room(each, others)), None)
+        for _ in range(ATTEMPTS):
+            proposal = propose()
+            if self.has_room(proposal, others):
+                return proposal
+        return None
 
     def has_room(
         self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]
@@ -105,30 +108,24 @@ class CrossingTraffic:
 
     def without_conflicts(
         self, npcs: Sequence[Chromosome], rng: Generator
-    ) -> tuple[Chromosome, ...]:
-        """Return the chains after resolving conflicts between crossing NPCs.
+    ) -> dict[int, Chromosome]:
+        """Return the chains after resolving conflicts between crossing NPCs, by their indices in ``npcs``.
 
         NPCs that fit nowhere are omitted. If there is no conflict, no random number is used.
         """
-        return tuple(chain for _, chain in self.numbered_without_conflicts(npcs, rng))
-
-    def numbered_without_conflicts(
-        self, npcs: Sequence[Chromosome], rng: Generator
-    ) -> list[tuple[int, Chromosome]]:
-        """Return the chains of :meth:`without_conflicts`, each with its index in ``npcs``."""
-        kept: list[tuple[int, Chromosome]] = []
+        kept: dict[int, Chromosome] = {}
         told: list[CrossingInstruction] = []
         for npc, chain in enumerate(npcs):
             first = chain[0]
             if not first.crosses and len(kept) - len(told) < self.most_on_grid:
-                kept.append((npc, chain))
+                kept[npc] = chain
                 continue
             # If no start cell is left for an NPC, it crosses instead.
             wanted = cast("CrossingInstruction", first) if first.crosses else self.sample(rng)
             found = self._room_for(wanted, told, rng)
             if found is not None:
                 told.append(found)
-                kept.append((npc, (found,)))
+                kept[npc] = (found,)
         return kept
 
     def _room_for(
@@ -144,10 +141,10 @@ class CrossingTraffic:
         another = self.first_with_room(others, lambda: replace(instruction, slot=sample_slot(rng)))
         if another is None:
             another = self.first_with_room(others, lambda: self.sample(rng))
-        if another is None:
-            last = replace(instruction, slot=LARGEST_SLOT, act="pass")
-            another = last if self.has_room(last, others) else None
-        return another
+        if another is not None:
+            return another
+        last = replace(instruction, slot=LARGEST_SLOT, act="pass")
+        return last if self.has_room(last, others) else None
 
     def speeds(self, zone: str) -> list[float]:
         """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""
@@ -172,7 +169,7 @@ class CrossingTraffic:
     def _act(self, rng: Generator) -> Act:
         if rng.random() < PASSES:
             return "pass"
-        return ACTS[1 + int(rng.integers(len(ACTS) - 1))]
+        return pick(ACTS[1:], rng)
 
 
 def sample_slot(rng: Generator) -> float:

@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from enum import IntEnum
 from functools import cache, lru_cache
 from itertools import compress, pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeVar, cast, get_args
 
 from pytest_pafot.support.errors import FieldError, checked_number, plain_whole
 from pytest_pafot.support.text import Pasteable
@@ -218,7 +218,7 @@ def _next_existing_cells(
 ) -> list[Cell]:
     # Separate from _next_cells, which must be fast: a search on a straight road calls it for each gene that it repairs.
     steps = (1, -1) if clockwise_first else (-1, 1)
-    moves = []
+    moves: list[Cell] = []
     for step in steps:
         beyond = [_around(previous, step * k) for k in range(1, 8)]
         near = next((cell for cell in beyond if cell in existing), previous)
@@ -271,6 +271,14 @@ class Choices(NamedTuple):
 
     def any_speed(self, rng: Generator) -> float:
         return int(rng.integers(self.low, self.top + 1)) / SPEED_STEPS_PER_MPS
+
+
+T = TypeVar("T")
+
+
+def pick(options: Sequence[T], rng: Generator) -> T:
+    """Return one of several options at random, all with the same probability."""
+    return options[int(rng.integers(len(options)))]
 
 
 class Instruction(Pasteable, ABC):
