@@ -82,11 +82,9 @@ def chromosomes(
     Raises:
         ValueError: if no chain is within the bounds.
     """
-    allowed, speeds, lengths = (
-        _cells(cells),
-        _speeds(min_speed, max_speed),
-        _bounds("genes", min_genes, max_genes),
-    )
+    allowed = _cells(cells)
+    speeds = _speeds(min_speed, max_speed)
+    lengths = _bounds("genes", min_genes, max_genes)
     in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
 
     @st.composite
@@ -220,10 +218,8 @@ def _chains(
         if on_grid >= 2 and draw(st.booleans()):
             order.reverse()
         for npc in order:
-            moves = [held[npc]]
-            for cell in held[npc].neighbours:
-                if cell in allowed and cell not in held:
-                    moves.append(cell)
+            free = [cell for cell in held[npc].neighbours if cell in allowed and cell not in held]
+            moves = [held[npc], *free]
             held[npc] = draw(st.sampled_from(moves))
         rows.append(list(held))
     columns = zip(*rows, strict=True)
@@ -248,7 +244,8 @@ def _in_lanes(
 
 
 def _speeds(low: float, high: float) -> SearchStrategy[float]:
-    first, last = round(low * SPEED_STEPS_PER_MPS), round(high * SPEED_STEPS_PER_MPS)
+    first = round(low * SPEED_STEPS_PER_MPS)
+    last = round(high * SPEED_STEPS_PER_MPS)
     if not 0 <= first <= last:
         raise ValueError(
             f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}"

@@ -35,7 +35,9 @@ SLOT_SHARES = {
 SLOWEST = 3.0
 # Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
 # sampled.
-SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
+SLOT_CHANGE = 0.5
+SPEED_CHANGE = 0.25
+ACT_CHANGE = 0.1
 SHIFT = 0.8  # standard deviation of the time by which a variation moves a slot [s]
 ATTEMPTS = 30  # attempts to sample an instruction that does not conflict with other NPCs
 # attempts to sample an instruction that fits its path, before an error is raised

@@ -25,9 +25,8 @@ from pytest_pafot.model.instructions import Instruction, is_adjacent, pick
 from pytest_pafot.model.scenario import Chromosome, Scenario, retimed
 from pytest_pafot.model.vehicle_type import VehicleType
 
-# Fractions of the mutations that sample a new start, if the space has several, and that insert a pattern, if it has
-# any.
-STARTS, PATTERNS = 0.1, 0.35
+STARTS = 0.1  # fraction of the mutations that sample a new start, if the space has several
+PATTERNS = 0.35  # fraction of the mutations that insert a pattern, if the space has any
 # Fraction of the new starts that change the initial speed. The others change the ego's lane.
 SPEEDS = 0.7
 # fraction of the mutations that change the vehicle of an NPC, if the space has several vehicles

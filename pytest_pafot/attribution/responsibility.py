@@ -109,7 +109,8 @@ DISPLACEMENT = 1.0
 # 0.4 s to perceive the risk, 0.75 s until the brakes act, and half of the time in which braking builds up (UN R157,
 # annex 4, appendix 3). The first is also the headway that a lane change must leave, and the time for which an earlier
 # action still counts.
-DELAY, DELAY_AFTER_CUT_IN = 1.0, 1.4
+DELAY = 1.0
+DELAY_AFTER_CUT_IN = 1.4
 # The braking that the rules require of a driver [m/s^2] (UN R157, 5.2.5.2).
 HARDEST = 6.0
 # The usual headway of two seconds to a leader of equal speed must never be a fault. With these values it is safe up to
@@ -120,26 +121,30 @@ DISTANCES = RssRules(
 )
 # The braking [m/s^2] that a lane change, or a vehicle at a junction, may impose on another vehicle, and the time until
 # that braking starts [s] (UN R79, 5.6.4.7).
-GENTLY, AFTER = 3.0, 0.4
+GENTLY = 3.0
+AFTER = 0.4
 # A vehicle moves towards another lane at this sideways speed or more [m/s]. A slower one only wanders.
 DRIFTING = 0.3
-# RECENT: a lane change counts if the vehicle crossed the line at most this time before both were in the same track [s].
-# SOON: an NPC that left too little room shares the responsibility if the impact follows within this time [s].
-RECENT, SOON = 2.0, 6.0
-# BLOCKED: if an NPC cuts in with less headway than this [s] and brakes hard, an ego that slows down has one more
-# second. SLOWED: the loss of speed that counts as slowing down [m/s].
-BLOCKED, SLOWED = 0.3, 2.0
+# A lane change counts if the vehicle crossed the line at most this time before both were in the same track [s].
+RECENT = 2.0
+# An NPC that left too little room shares the responsibility if the impact follows within this time [s].
+SOON = 6.0
+# If an NPC cuts in with less headway than this [s] and brakes hard, an ego that slows down has one more second.
+BLOCKED = 0.3
+SLOWED = 2.0  # the loss of speed that counts as slowing down [m/s]
 # A vehicle ahead or behind with at most this gap is next to the one that changes lanes [m].
 NEXT_TO = 2.0
 # Braking is hard above this deceleration [m/s^2] for at least this time [s]. A careful driver needs no more to keep the
 # distance.
-HARD, HARD_SECONDS = 4.0, 0.4
-# STANDING_SPEED: a vehicle is stationary up to this speed [m/s]. LONG: the shortest stop that counts, and the time in a
-# new lane after which a vehicle has led for long enough [s].
-STANDING_SPEED, LONG = 0.1, 3.0
-# NEAR_SECONDS: a vehicle ahead is near if the ego would reach it in less than this time at the closing speed, or at the
-# ego's own speed [s]. STANDSTILL_GAP: a smaller gap is always a reason to brake [m].
-NEAR_SECONDS, STANDSTILL_GAP = 4.0, 5.0
+HARD = 4.0
+HARD_SECONDS = 0.4
+STANDING_SPEED = 0.1  # a vehicle is stationary up to this speed [m/s]
+# The shortest stop that counts, and the time in a new lane after which a vehicle has led for long enough [s].
+LONG = 3.0
+# A vehicle ahead is near if the ego would reach it in less than this time at the closing speed, or at the ego's own
+# speed [s].
+NEAR_SECONDS = 4.0
+STANDSTILL_GAP = 5.0  # a smaller gap is always a reason to brake [m]
 # An NPC behind an ego that brakes needlessly causes the danger itself if it accelerates by more than this [m/s].
 DROVE_ON = 1.0
 

@@ -33,13 +33,14 @@ AT_FAULT: Mapping[str, str] = MappingProxyType(
 ALSO = "There was also a collision in this run."
 """The sentence before the headline of a collision, if the run failed for another reason."""
 STOOD = "stood still"
-# BRAKES: the smallest deceleration that sentences call braking [m/s^2]. TOLD: the sentences cover at least this time
-# before the impact [s]. PHASES: the sentences list at most this many phases of a vehicle's speed, the last ones.
-BRAKES, TOLD, PHASES = 0.5, 2.0, 3
-# LOST: smaller changes of speed are ignored as control noise [m/s]. In 776 runs on straight roads, NPCs that kept their
-# lane and speed never braked. In 700 runs on curved roads, they lost either less than 0.16 m/s or, in a bend, more than
-# 0.2 m/s. SAME: up to this change, a vehicle counts as keeping its speed [m/s].
-LOST, SAME = 0.2, 0.05
+BRAKES = 0.5  # the smallest deceleration that sentences call braking [m/s^2]
+TOLD = 2.0  # the sentences cover at least this time before the impact [s]
+PHASES = 3  # the sentences list at most this many phases of a vehicle's speed, the last ones
+# Smaller changes of speed are ignored as control noise [m/s]. In 776 runs on straight roads, NPCs that kept their lane
+# and speed never braked. In 700 runs on curved roads, they lost either less than 0.16 m/s or, in a bend, more than 0.2
+# m/s.
+LOST = 0.2
+SAME = 0.05  # up to this change, a vehicle counts as keeping its speed [m/s]
 
 
 WHO: Mapping[str, str] = MappingProxyType(

@@ -55,13 +55,14 @@ class Boxes:
         length: FloatArray,
         width: FloatArray,
     ) -> Boxes:
-        cos, sin = np.cos(heading), np.sin(heading)  # a negative speed moves backwards
+        cos = np.cos(heading)
+        sin = np.sin(heading)
         return cls(
             x=x,
             y=y,
             cos=cos,
             sin=sin,
-            vx=speed * cos,
+            vx=speed * cos,  # a negative speed moves backwards
             vy=speed * sin,
             half_length=length / 2,
             half_width=width / 2,
@@ -127,7 +128,8 @@ def depth(pairs: Pairs) -> FloatArray:
 
 def box_gap(pairs: Pairs) -> FloatArray:
     """Return the distance [m] between the boxes, or 0 if they overlap."""
-    a, b = pairs.a, pairs.b
+    a = pairs.a
+    b = pairs.b
     # The smallest distance between two separate rectangles is always at a corner of one of them.
     along, across, back_along, back_across = pairs.offsets
     from_b = _corners_to_box(along, across, pairs.cos, pairs.sin, a, b)

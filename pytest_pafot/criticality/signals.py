@@ -264,7 +264,8 @@ def _right(trace: Trace) -> FloatArray:
     return trace.road.right
 
 
-_of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
+_of_ego = partial(_recorded, 0)
+_of_npcs = partial(_recorded, slice(1, None))
 _TURNING = "speed times the mean turning rate since the previous tick, positive to the right"
 _JERK = "change of the acceleration since the previous tick, per second"
 _LANE = "index of the lane that contains the centre, from 0 at the left of a straight road; -1 off the road"
@@ -323,7 +324,8 @@ class Signals:
         values = self._values.get(function)  # each function of the trace is called only once
         if values is None:
             values = np.array(function(self.trace), dtype=np.float64)
-            rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
+            rows = self.trace.ticks + 1
+            npcs = len(self.trace.npcs[0])
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
                     f"signal {_name_of(function)}: expected an array of shape ({rows},), with one value per tick, or "
@@ -349,7 +351,7 @@ class Signals:
             if vehicle != "npcs":
                 yield measure.name, self.values_of(measure.function)
                 continue
-            for npc in range(self.trace.states.shape[1] - 1):
+            for npc in range(len(self.trace.npcs[0])):
                 # The time advantage is defined only for NPCs that cross.
                 if name != "time_advantage" or self.trace.zone_of(npc) is not None:
                     yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
@@ -360,7 +362,7 @@ class Signals:
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        return tuple(NpcSignals(self, npc) for npc in range(self.trace.states.shape[1] - 1))
+        return tuple(NpcSignals(self, npc) for npc in range(len(self.trace.npcs[0])))
 
 
 def _name_of(function: object) -> str:

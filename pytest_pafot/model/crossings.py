@@ -32,12 +32,11 @@ NOT_ON_WAY = 0.5  # the angle to the ego's path above which a vehicle is not on 
 STEP = 0.5  # distance between the points of a path [m]
 APART = 0.7  # the shortest time between two NPCs that drive through the same position [s]
 LENGTH = 5.0  # length of a vehicle [m]
-# The distance between a waiting NPC and its zone [m], and the hardest braking with which it stops there [m/s^2].
-BEFORE_LINE, STOPPING = 2.0, 6.0
+BEFORE_LINE = 2.0  # the distance between a waiting NPC and its zone [m]
+STOPPING = 6.0  # the hardest braking with which it stops there [m/s^2]
 WAITING = ("hold", "late")  # the acts of NPCs that stop at the line before the zone
-# The planned braking of an NPC for its line [m/s^2], and the time that creeping up to the line adds to the braking
-# time [s].
-EASY_BRAKING, CREEPING = 2.5, 2.0
+EASY_BRAKING = 2.5  # the planned braking of an NPC for its line [m/s^2]
+CREEPING = 2.0  # the time that creeping up to the line adds to the braking time [s]
 EARLIER = 1.0  # the time for which an NPC that starts late waits at the line before it sets off [s]
 SETTING_OFF = 2.0  # the acceleration with which a waiting vehicle is expected to set off [m/s^2]
 

@@ -678,7 +678,8 @@ LARGEST_SLOT = 5.0
 ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 
 # The steps to which shrinking rounds a slot, in tenths of a second.
-SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
+SECOND = SLOT_STEPS_PER_SECOND
+HALF = SECOND // 2
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)  # slots of NPCs that cross in small scenarios [s]
 

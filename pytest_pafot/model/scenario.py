@@ -38,9 +38,10 @@ from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, ch
 from pytest_pafot.support.text import Pasteable, listed
 
 PAPER_SPEED_LIMIT = 26.8  # the speed limit on the paper's motorway, 60 mph [m/s]
-# The defaults of a scenario: the ego's initial lane, counted from 0 at the left; the initial speed of all vehicles
-# [m/s]; the duration of an instruction, as in the paper [s].
-EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
+# The defaults of a scenario.
+EGO_LANE = 1  # the ego's initial lane, counted from 0 at the left
+EGO_SPEED = 22.0  # the initial speed of all vehicles [m/s]
+GENE_SECONDS = 10.0  # the duration of an instruction, as in the paper [s]
 
 # The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit in a C integer.
 LONGEST_GENE = 86400.0
