@@ -230,7 +230,10 @@ def _chains(
 
 
 def _in_lanes(
-    instructions: str, speeds: SearchStrategy[float], min_genes: int, max_genes: int
+    instructions: str,
+    speeds: SearchStrategy[float],
+    min_genes: int,
+    max_genes: int,
 ) -> SearchStrategy[Chromosome | None]:
     # None means an NPC with Position-Instructions, towards which examples shrink.
     gene = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)

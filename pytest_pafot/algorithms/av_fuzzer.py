@@ -120,7 +120,9 @@ class AvFuzzerSearch:
         return AvFuzzerState(fresh=tuple(fresh))
 
     def ask(
-        self, state: AvFuzzerState, rng: Generator
+        self,
+        state: AvFuzzerState,
+        rng: Generator,
     ) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
         check_ask(state.asked)
         asked = tuple(enumerate(state.fresh))
@@ -131,7 +133,10 @@ class AvFuzzerSearch:
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
 
     def tell(
-        self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: Generator
+        self,
+        state: AvFuzzerState,
+        evaluations: Sequence[Evaluation],
+        rng: Generator,
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         scenarios = None
         if state.asked is not None:
@@ -185,7 +190,10 @@ class AvFuzzerSearch:
         return tuple((index, scenarios[index]) for index in sorted(touched))
 
     def _after_generation(
-        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
+        self,
+        state: AvFuzzerState,
+        selected: tuple[Evaluation, ...],
+        rng: Generator,
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
         best = selected[slot]
@@ -224,7 +232,10 @@ class AvFuzzerSearch:
         return state, tuple(events)
 
     def _after_local_generation(
-        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
+        self,
+        state: AvFuzzerState,
+        selected: tuple[Evaluation, ...],
+        rng: Generator,
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         best = max(selected, key=_weight)
         # of equal members, the one from the last generation counts
@@ -296,7 +307,9 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 
 
 def farthest(
-    candidates: Sequence[Scenario], checkpoints: FloatArray, count: int
+    candidates: Sequence[Scenario],
+    checkpoints: FloatArray,
+    count: int,
 ) -> tuple[Scenario, ...]:
     """Return the ``count`` candidates with the greatest mean distance to earlier scenarios.
 

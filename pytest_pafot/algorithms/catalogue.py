@@ -57,7 +57,9 @@ class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
         return GenerationState()
 
     def propose(
-        self, state: GenerationState, rng: Generator
+        self,
+        state: GenerationState,
+        rng: Generator,
     ) -> tuple[GenerationState, Iterable[Scenario]]:
         space: Any = self.space.sliced(self.slices)
         return state, (sample_manoeuvres(space, rng) for _ in range(self.population))

@@ -65,7 +65,10 @@ class CrossingTraffic:
         for _ in range(MOST_ATTEMPTS):
             zone = pick(self.crossings.zones, rng).way
             instruction = CrossingInstruction(
-                zone, sample_slot(rng), self._speed(zone, rng), self._act(rng)
+                zone,
+                sample_slot(rng),
+                self._speed(zone, rng),
+                self._act(rng),
             )
             if self.crossings.fits(instruction):
                 return instruction
@@ -91,7 +94,9 @@ class CrossingTraffic:
         return self.sample(rng)
 
     def first_with_room(
-        self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
+        self,
+        others: Sequence[CrossingInstruction],
+        propose: Callable[[], CrossingInstruction],
     ) -> CrossingInstruction | None:
         """Return the first of 30 proposals for which :meth:`has_room` is True, or None."""
         for _ in range(ATTEMPTS):
@@ -101,7 +106,9 @@ class CrossingTraffic:
         return None
 
     def has_room(
-        self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]
+        self,
+        instruction: CrossingInstruction,
+        others: Sequence[CrossingInstruction],
     ) -> bool:
         """Return whether an instruction fits its path and does not conflict with ``others``."""
         return self.crossings.fits(instruction) and not any(
@@ -109,7 +116,9 @@ class CrossingTraffic:
         )
 
     def without_conflicts(
-        self, npcs: Sequence[Chromosome], rng: Generator
+        self,
+        npcs: Sequence[Chromosome],
+        rng: Generator,
     ) -> dict[int, Chromosome]:
         """Return the chains after resolving conflicts between crossing NPCs, by their indices in ``npcs``.
 

@@ -208,7 +208,10 @@ class EvaluationCache:
     """
 
     def __init__(
-        self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False
+        self,
+        evaluations: Iterable[Evaluation] = (),
+        *,
+        seeds_matter: bool = False,
     ) -> None:
         self._seeds_matter = seeds_matter
         # by key, then by the seed if it matters

@@ -55,7 +55,11 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
 
 
 def _with_npc(
-    scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator
+    scenario: Scenario,
+    npc: int,
+    chain: Chromosome,
+    vehicle: VehicleType,
+    rng: Generator,
 ) -> Scenario:
     vehicles = list(scenario.all_vehicles)
     vehicles[npc] = vehicle
@@ -167,7 +171,11 @@ def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sc
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(
-        scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds
+        scenario.ego_lane,
+        scenario.ego_speed,
+        1,
+        scenario.genes,
+        scenario.gene_seconds,
     )
     one = sample(alone, rng)
     vehicles = (*scenario.all_vehicles, one.vehicle_of(0))
@@ -183,7 +191,11 @@ def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
 
 
 def _fit_cell(
-    scenario: Scenario, npc: int, gene: int, new: Instruction, clockwise_first: bool
+    scenario: Scenario,
+    npc: int,
+    gene: int,
+    new: Instruction,
+    clockwise_first: bool,
 ) -> Instruction:
     """Return ``new`` with a cell that fits the chain and that no other NPC occupies."""
     chain = scenario.npcs[npc]

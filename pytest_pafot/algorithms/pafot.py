@@ -119,7 +119,10 @@ class PafotSearch:
         return replace(state, asked=state.fresh, fresh=()), state.fresh
 
     def tell(
-        self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
+        self,
+        state: PafotState,
+        evaluations: Sequence[Evaluation],
+        rng: Generator,
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
@@ -169,7 +172,10 @@ class PafotSearch:
         return mutate(incumbent.executed, self.space, rng)
 
     def _after_generation(
-        self, state: PafotState, population: tuple[Evaluation, ...], rng: Generator
+        self,
+        state: PafotState,
+        population: tuple[Evaluation, ...],
+        rng: Generator,
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         generation = state.generation
         candidate = best_of(population)
@@ -193,12 +199,16 @@ class PafotSearch:
         return state, (Restarted(generation=after, stagnant=stagnant),)
 
     def _after_local_generation(
-        self, state: PafotState, population: tuple[Evaluation, ...]
+        self,
+        state: PafotState,
+        population: tuple[Evaluation, ...],
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         local_generation = state.local_generation
         if local_generation <= self.local_generations:
             after = replace(
-                state, local_generation=local_generation + 1, local_population=population
+                state,
+                local_generation=local_generation + 1,
+                local_population=population,
             )
             return after, ()
         # The best of the local search replaces the incumbent in the main population, if it is better (section 3.6).

@@ -68,7 +68,10 @@ class Algorithm(Protocol[StateT]):
         """
 
     def tell(
-        self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
+        self,
+        state: StateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
         """Finish a generation. The evaluations are in the order of its scenarios.
 
@@ -116,18 +119,25 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def propose(
-        self, state: GenerationStateT, rng: Rng
+        self,
+        state: GenerationStateT,
+        rng: Rng,
     ) -> tuple[GenerationStateT, Iterable[Scenario]]:
         """Return the next state and the scenarios of the next generation."""
 
     def learn(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
+        self,
+        state: GenerationStateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
     ) -> GenerationStateT:
         """Return the state after a generation. ``tell`` updates ``best`` and ``generation``."""
         return state
 
     def ask(
-        self, state: GenerationStateT, rng: Rng
+        self,
+        state: GenerationStateT,
+        rng: Rng,
     ) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
@@ -135,11 +145,17 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def tell(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
+        self,
+        state: GenerationStateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
-            generation=state.generation, local_generation=0, population=tuple(evaluations), elites=0
+            generation=state.generation,
+            local_generation=0,
+            population=tuple(evaluations),
+            elites=0,
         )
         candidate = best_of(evaluations)
         new = candidate if improves(candidate, state.best) else None
@@ -153,7 +169,9 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
 
 def end_of_local_search(
-    state: SearchState, incumbent: Evaluation, better: Evaluation | None
+    state: SearchState,
+    incumbent: Evaluation,
+    better: Evaluation | None,
 ) -> tuple[AlgorithmEvent, ...]:
     """Return the events at the end of a local search. ``better`` is its result, or None if that is not better."""
     finished = LocalSearchFinished(
@@ -165,7 +183,9 @@ def end_of_local_search(
     if better is None:
         return (finished,)
     best = NewBest(
-        generation=state.generation, local_generation=state.local_generation, evaluation=better
+        generation=state.generation,
+        local_generation=state.local_generation,
+        evaluation=better,
     )
     return best, finished
 
@@ -203,7 +223,11 @@ MOST = 10_000  # largest population; all scenarios of a generation are in memory
 
 
 def check_parameters(
-    search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int
+    search: Any,
+    *,
+    rates: tuple[str, ...] = (),
+    factors: tuple[str, ...] = (),
+    **least: int,
 ) -> None:
     """Raise a ValueError that names the first parameter that is out of range."""
     limits: dict[str, tuple[float, float, str]] = {}
@@ -262,7 +286,12 @@ class Plan:
         self.started = PlanStarted(algorithm=algorithm.name, generations=generations, seed=seed)
         # The totals over all evaluations so far.
         self.sums = PlanFinished(
-            reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
+            reason="generations",
+            generations=0,
+            evaluated=0,
+            simulated=0,
+            best=None,
+            seconds=0.0,
         )
         self._last_generation = generations or runs or 0
         self._last_run = runs or sys.maxsize
@@ -277,7 +306,9 @@ class Plan:
         if not self.is_over:
             # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.
             self._rng = rng_of(
-                self.started.seed, self._state.generation, self._state.local_generation
+                self.started.seed,
+                self._state.generation,
+                self._state.local_generation,
             )
             self._state, self._asked = self.algorithm.ask(self._state, self._rng)
 

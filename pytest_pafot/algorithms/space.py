@@ -130,7 +130,10 @@ WALKING = ((1.0, -2.0), (1.0, 3.0))
 
 
 def chain_of_patterns(
-    genes: int, ego_speed: float, choices: Choices, rng: Generator
+    genes: int,
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> list[PositionInstruction]:
     """Return a chain of random patterns, joined by steps on the ring."""
     chain: list[PositionInstruction] = []
@@ -140,7 +143,10 @@ def chain_of_patterns(
 
 
 def followed_by_pattern(
-    chain: Sequence[PositionInstruction], ego_speed: float, choices: Choices, rng: Generator
+    chain: Sequence[PositionInstruction],
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> list[PositionInstruction]:
     """Extend a chain by a random pattern, preceded by steps along the ring to the pattern's first cell.
 
@@ -157,14 +163,19 @@ def followed_by_pattern(
 
 
 def _sample_gene(
-    step: Step, ego_speed: float, choices: Choices, rng: Generator
+    step: Step,
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> PositionInstruction:
     bounds = []
     for share, more in (step.low, step.high):
         speed = (share * ego_speed + more) * SPEED_STEPS_PER_MPS
         bounds.append(int(min(max(speed, choices.low), choices.top)))
     gene: PositionInstruction = known(
-        PositionInstruction, step.cell, Choices(*bounds).any_speed(rng)
+        PositionInstruction,
+        step.cell,
+        Choices(*bounds).any_speed(rng),
     )
     return gene
 
@@ -249,17 +260,28 @@ class SearchSpace:
 
     def __post_init__(self) -> None:
         npcs = checked_whole(
-            self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8
+            self.npcs,
+            "npcs",
+            "1 to 8 NPCs, at most one per cell",
+            least=1,
+            most=8,
         )
         object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         checked_number(
-            self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE
+            self.gene_seconds,
+            "gene_seconds",
+            expected,
+            least=POSITIVE,
+            most=LONGEST_GENE,
         )
         checked_number(
-            self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0
+            self.speed_limit,
+            "speed_limit",
+            "a finite speed of at least 0 m/s",
+            least=0.0,
         )
         if self.tick:
             object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))

@@ -117,7 +117,11 @@ HARDEST = 6.0
 # 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower accelerates during its response time, which would
 # require more than two seconds. A leader brakes at 8 m/s^2 at most, like an NPC.
 DISTANCES = RssRules(
-    ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=HARDEST, hardest_braking=8.0
+    ego_response=1.0,
+    npc_response=1.0,
+    acceleration=0.0,
+    least_braking=HARDEST,
+    hardest_braking=8.0,
 )
 # The braking [m/s^2] that a lane change, or a vehicle at a junction, may impose on another vehicle, and the time until
 # that braking starts [s] (UN R79, 5.6.4.7).
@@ -203,7 +207,11 @@ def decide_contested(found: Attribution, seconds: float | None) -> Attribution:
         return replace(found, responsibility="npc", fault=None, mistake=None, takeover=seconds)
     # The ego had time, so it shares the responsibility.
     return replace(
-        found, responsibility="both", fault=fault, mistake=BY_FAULT[fault], takeover=seconds
+        found,
+        responsibility="both",
+        fault=fault,
+        mistake=BY_FAULT[fault],
+        takeover=seconds,
     )
 
 
@@ -238,7 +246,12 @@ def rss_rule(trace: Trace) -> Attribution:
         time=found.tick / trace.physics_hz,
         fault=found.fault if who in ("ego", "both") else None,
         sentences=sentences_on(
-            trace, frame_of(trace), npc, found.happened, found.vehicle, found.tick
+            trace,
+            frame_of(trace),
+            npc,
+            found.happened,
+            found.vehicle,
+            found.tick,
         ),
         contested=found.fault if is_contested else None,
     )

@@ -55,7 +55,9 @@ WHO: Mapping[str, str] = MappingProxyType(
 
 
 def responsible_sentence(
-    responsibility: str, npc: int | None, takeover: float | None = None
+    responsibility: str,
+    npc: int | None,
+    takeover: float | None = None,
 ) -> str:
     """Return a sentence about the responsible side, and one about the takeover [s before the impact] if it is known."""
     if npc is None:
@@ -93,7 +95,11 @@ def impact(
 
 
 def _who_hit_whom(
-    npc: int | None, side: Side | None, cell: Cell | None, whence: str, way: str
+    npc: int | None,
+    side: Side | None,
+    cell: Cell | None,
+    whence: str,
+    way: str,
 ) -> str:
     if npc is None:
         return "the ego hit a fixed object"
@@ -122,7 +128,12 @@ def _who_hit_whom(
 
 
 def sentences_on(
-    trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
+    trace: Trace,
+    frame: RoadFrame,
+    npc: int,
+    happened: Happened,
+    vehicle: int,
+    tick: int,
 ) -> tuple[str, ...]:
     """Return the sentences about a collision: the decisive event, then one each about the NPC and the ego."""
     ahead = frame.ahead[npc]
@@ -149,7 +160,12 @@ def sentences_on(
 
 
 def _decisive(
-    trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
+    trace: Trace,
+    frame: RoadFrame,
+    npc: int,
+    happened: Happened,
+    vehicle: int,
+    tick: int,
 ) -> list[str]:
     # The decisive event. If the vehicles only came too close, the other sentences show it.
     other = npc + 1 - vehicle
@@ -191,7 +207,13 @@ def _place(ahead: float, half: float, whom: str) -> str:
 
 
 def _about_npc(
-    trace: Trace, frame: RoadFrame, npc: int, since: int, *, is_told: bool, has_moved: bool
+    trace: Trace,
+    frame: RoadFrame,
+    npc: int,
+    since: int,
+    *,
+    is_told: bool,
+    has_moved: bool,
 ) -> str:
     # `is_told`: the first sentence states the position of the NPC. `has_moved`: it is about a lane change.
     name = vehicle_name(npc + 1)

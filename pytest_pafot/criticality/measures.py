@@ -171,7 +171,12 @@ def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
 
 
 def _corners_to_box(
-    u: FloatArray, v: FloatArray, cos: FloatArray, sin: FloatArray, box: Boxes, other: Boxes
+    u: FloatArray,
+    v: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    box: Boxes,
+    other: Boxes,
 ) -> FloatArray:
     # The result is the squared distance from the nearest corner of `other` to `box` [m^2].
     # (u, v) is the centre of `other`, and cos and sin belong to its heading. Both are in the frame of `box`.
@@ -424,7 +429,10 @@ class RssRules:
                 )
 
     def safe_along(
-        self, follower: FloatArray, leader: FloatArray, response: float | FloatArray
+        self,
+        follower: FloatArray,
+        leader: FloatArray,
+        response: float | FloatArray,
     ) -> FloatArray:
         """Return the gap [m] that RSS requires of a follower, given speeds [m/s] along the road."""
         # v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake): the leader may brake as

@@ -106,7 +106,9 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 
 def _paths_to_zone(
-    trace: Trace, npc: int, zone: Zone
+    trace: Trace,
+    npc: int,
+    zone: Zone,
 ) -> tuple[tuple[FloatArray, FloatArray, Stretch], ...]:
     # For the ego and the NPC: the positions along the path [m], the speeds [m/s], and the section of the zone.
     speeds = trace.states[:, :, SPEED]
@@ -310,7 +312,9 @@ class Signals:
         self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
     def values_of(
-        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+        self,
+        function: Callable[[Trace], npt.ArrayLike],
+        npc: int | None = None,
     ) -> FloatArray:
         """Return the read-only values of a function of the trace, one per tick.
 

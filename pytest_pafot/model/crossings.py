@@ -276,7 +276,11 @@ class Crossings:
         return tuple((b, a) for a, b in self.meetings.get((second, first), ()))
 
     def _common_lane(
-        self, first: str, second: str, mine: Stretch, theirs: Stretch
+        self,
+        first: str,
+        second: str,
+        mine: Stretch,
+        theirs: Stretch,
     ) -> tuple[Stretch, float] | None:
         # The stretch of the first path on which both paths share a lane up to their zones, and an offset [m], or None.
         # `mine` and `theirs` are the stretches on which the two paths meet. The offset is the position of a point along
@@ -290,7 +294,11 @@ class Crossings:
         return ((mine[1], zone[0]), farther) if mine[1] <= zone[0] else None
 
     def _crowd(
-        self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float
+        self,
+        first: CrossingInstruction,
+        second: CrossingInstruction,
+        lane: Stretch,
+        farther: float,
     ) -> bool:
         # Two NPCs in a shared lane must not start too close together, and neither may overtake the other.
         # `farther` is the offset from `_common_lane`. Only the two ends of the lane are checked: the slower NPC takes

@@ -91,7 +91,10 @@ def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> floa
 
 
 def cell_at(
-    longitudinal: float, lateral: float, ego_length: float, lane_width: float
+    longitudinal: float,
+    lateral: float,
+    ego_length: float,
+    lane_width: float,
 ) -> Cell | None:
     """Return the cell that contains a point, or None for the ego's own cell."""
     # The outer rows and columns have no outer limits: a vehicle 80 m ahead in the ego's lane is in cell 2.
@@ -194,7 +197,10 @@ def _around(cell: Cell, steps: int) -> Cell:
 
 
 def _next_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+    previous: Cell,
+    requested: Cell,
+    existing: Collection[Cell],
+    clockwise_first: bool,
 ) -> list[Cell]:
     wanted = _wanted_next(previous, requested, clockwise_first)
     moves = [cell for cell in wanted if cell in existing]
@@ -214,7 +220,10 @@ def _wanted_next(previous: Cell, requested: Cell, clockwise_first: bool) -> tupl
 
 
 def _next_existing_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+    previous: Cell,
+    requested: Cell,
+    existing: Collection[Cell],
+    clockwise_first: bool,
 ) -> list[Cell]:
     # Separate from _next_cells, which must be fast: a search on a straight road calls it for each gene that it repairs.
     steps = (1, -1) if clockwise_first else (-1, 1)
@@ -458,7 +467,9 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
     speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
         raise ScenarioError(
-            field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value)
+            field="speed",
+            expected=f"a speed of at most {MAX_SPEED:g} m/s",
+            received=repr(value),
         )
     # a value far below 0 would overflow when multiplied by 10
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)
@@ -474,7 +485,9 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
 
 
 def roughness(
-    tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS
+    tenths: int,
+    coarse: int = 5 * SPEED_STEPS_PER_MPS,
+    fine: int = SPEED_STEPS_PER_MPS,
 ) -> int:
     """Return 0 for a multiple of ``coarse``, 1 for a multiple of ``fine``, otherwise 2."""
     return (tenths % coarse > 0) + (tenths % fine > 0)
@@ -566,7 +579,9 @@ class LaneInstruction(TimedInstruction):
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
             raise ScenarioError(
-                field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane)
+                field="lane",
+                expected=f"one of {', '.join(SHIFTS)}",
+                received=repr(self.lane),
             )
         object.__setattr__(self, "lane", str(self.lane))
         object.__setattr__(self, "speed", checked_speed(self.speed))
@@ -641,7 +656,10 @@ def _side(apart: float) -> str:
 
 
 def random_lanes(
-    choices: Choices, npcs: int, genes: int, rng: Generator
+    choices: Choices,
+    npcs: int,
+    genes: int,
+    rng: Generator,
 ) -> list[list[LaneInstruction]]:
     """Sample chains of ``LaneInstruction`` uniformly."""
     shifts = rng.integers(len(SHIFTS), size=(npcs, genes)).tolist()
@@ -713,7 +731,9 @@ class CrossingInstruction(Instruction):
             raise ScenarioError(field="zone", expected=expected, received=f"{self.zone!r:.100}")
         if self.act not in ACTS:
             raise ScenarioError(
-                field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}"
+                field="act",
+                expected=f"one of {', '.join(ACTS)}",
+                received=f"{self.act!r:.100}",
             )
         object.__setattr__(self, "zone", str(self.zone))
         object.__setattr__(self, "act", str(self.act))
@@ -828,7 +848,10 @@ def _checked_slot(value: object) -> float:
     if abs(slot * SLOT_STEPS_PER_SECOND - steps) > 1e-6:
         fix = f"the nearest valid slot is {nearest:g} s"
         raise ScenarioError(
-            field="slot", expected="a multiple of 0.1 s", received=repr(value), fix=fix
+            field="slot",
+            expected="a multiple of 0.1 s",
+            received=repr(value),
+            fix=fix,
         )
     return nearest + 0.0
 

@@ -109,7 +109,11 @@ class Scenario(_Hashed):
         seed = _checked_whole("seed", self.seed, MAX_SEED)
         ego_lane = _checked_whole("ego_lane", self.ego_lane, 1000)
         ego_speed = checked_number(
-            self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError
+            self.ego_speed,
+            "ego_speed",
+            "a speed of at least 0 m/s",
+            least=0.0,
+            error=ScenarioError,
         )
         gene_seconds = checked_number(
             self.gene_seconds,
@@ -122,7 +126,9 @@ class Scenario(_Hashed):
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             expected = f"one of {', '.join(STYLES)}"
             raise ScenarioError(
-                field="traffic", expected=expected, received=f"{self.traffic!r:.100}"
+                field="traffic",
+                expected=expected,
+                received=f"{self.traffic!r:.100}",
             )
         checked = {
             "npcs": npcs,
@@ -247,7 +253,9 @@ class Scenario(_Hashed):
         )
 
     def rechained(
-        self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None
+        self,
+        npcs: Sequence[Sequence[Instruction]],
+        gene_seconds: float | None = None,
     ) -> Scenario:
         chains = _repaired(npcs, self.seed)
         if gene_seconds is not None:
@@ -302,7 +310,12 @@ def _canonical(scenario: Scenario) -> str:
 
 def _checked_whole(name: str, value: object, top: int) -> int:
     return checked_whole(
-        value, name, f"a whole number from 0 to {top}", least=0, most=top, error=ScenarioError
+        value,
+        name,
+        f"a whole number from 0 to {top}",
+        least=0,
+        most=top,
+        error=ScenarioError,
     )
 
 
@@ -315,7 +328,9 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(
-            field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains))
+            field="npcs",
+            expected="1 to 8 NPCs, at most one per cell",
+            received=str(len(chains)),
         )
     for npc, chain in enumerate(chains):
         is_one_kind = len(set(map(type, chain))) == 1 and isinstance(chain[0], Instruction)
@@ -338,7 +353,10 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
             else:
                 continue
             raise ScenarioError(
-                field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix
+                field=f"npcs[{npc}][{gene}]",
+                expected=expected,
+                received=repr(each),
+                fix=fix,
             )
     return chains
 
@@ -347,7 +365,10 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     if isinstance(vehicles, (str, Mapping)) or not isinstance(vehicles, Iterable):
         fix = 'write, for example, vehicles=("truck",)'
         raise ScenarioError(
-            field="vehicles", expected="a list of vehicles", received=f"{vehicles!r:.100}", fix=fix
+            field="vehicles",
+            expected="a list of vehicles",
+            received=f"{vehicles!r:.100}",
+            fix=fix,
         )
     found = []
     for npc, each in enumerate(vehicles):

@@ -83,7 +83,10 @@ class Sight:
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(
-        self, states: FloatArray, seed: int, tick: int
+        self,
+        states: FloatArray,
+        seed: int,
+        tick: int,
     ) -> list[tuple[int, float, float, float]]:
         # The index and the measurement errors of each vehicle that is seen.
         # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed

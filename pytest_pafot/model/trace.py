@@ -250,7 +250,9 @@ class RoadOfRun:
         return None
 
     def turned(
-        self, cos: FloatArray, sin: FloatArray
+        self,
+        cos: FloatArray,
+        sin: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         # The cosine and sine of each vehicle's angle to the road, and the cosine and sine of the road's heading.
         road_cos, road_sin = self.direction
@@ -359,7 +361,9 @@ class BentRoadOfRun(RoadOfRun):
         return _offsets(ego, self._track[tick, npc + 1].tolist())
 
     def turned(
-        self, cos: FloatArray, sin: FloatArray
+        self,
+        cos: FloatArray,
+        sin: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         angle = self._track[:, :, ANGLE].T
         own_cos = np.cos(angle)

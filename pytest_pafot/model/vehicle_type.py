@@ -270,6 +270,8 @@ def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
     found = tuple(dict.fromkeys(map(VehicleType.parse, given)))
     if not found:
         raise FieldError(
-            field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given)
+            field="vehicles",
+            expected=f"one or more of {', '.join(READY)}",
+            received=repr(given),
         )
     return found

@@ -218,7 +218,10 @@ def check(
         all_values = values
     if at is not None:
         time = checked_number(
-            at, what, "at= to be at least 0 seconds after the start of the run", least=0.0
+            at,
+            what,
+            "at= to be at least 0 seconds after the start of the run",
+            least=0.0,
         )
     made = Check(
         name=_named(name),
@@ -282,7 +285,10 @@ def _scale(name: str, bound: float, scale: float | None) -> float:
     if scale is None:
         return abs(bound) or 1.0
     return checked_number(
-        scale, f"check {name!r}", "scale= to be a positive number", least=POSITIVE
+        scale,
+        f"check {name!r}",
+        "scale= to be a positive number",
+        least=POSITIVE,
     )
 
 
@@ -490,7 +496,9 @@ class Run:
         return tuple(filter(None, passages(self.trace)))
 
     def signal(
-        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+        self,
+        function: Callable[[Trace], npt.ArrayLike],
+        npc: int | None = None,
     ) -> FloatArray:
         """Return the signal that a function computes from the trace, or its row for one NPC."""
         return self._signals.values_of(function, npc)
