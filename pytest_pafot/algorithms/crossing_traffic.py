@@ -23,14 +23,9 @@ from pytest_pafot.model.scenario import Chromosome
 # Acts that are sampled. ``late`` is not, because it often leaves unclear which vehicle had to wait.
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
 PASSES = 0.7  # fraction of the crossing NPCs that drive through their zone without stopping
-# Probability of each kind of slot. "Just after" is most likely, because it tests an ego that hesitates.
-SLOT_SHARES = {
-    "well before": 0.1,
-    "just before": 0.2,
-    "together": 0.2,
-    "just after": 0.3,
-    "well after": 0.2,
-}
+# Probability of each kind of slot: well before the ego, just before it, together with it, just after it and well after
+# it. "Just after" is most likely, because it tests an ego that hesitates.
+SLOT_SHARES = (0.1, 0.2, 0.2, 0.3, 0.2)
 # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
 SLOWEST = 3.0
 # Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
@@ -185,18 +180,11 @@ class CrossingTraffic:
 
 def sample_slot(rng: Generator) -> float:
     """Sample a slot [s]."""
-    name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
+    kind = rng.choice(len(SLOT_SHARES), p=SLOT_SHARES)
     # The square makes longer times rarer.
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
-    slots = {
-        "well before": -far,
-        "just before": -near,
-        "together": 0.0,
-        "just after": near,
-        "well after": far,
-    }
-    return _tenths(slots[name])
+    return _tenths([-far, -near, 0.0, near, far][kind])
 
 
 def _tenths(slot: float) -> float:

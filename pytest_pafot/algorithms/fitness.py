@@ -291,7 +291,7 @@ def _time_to_collision(trace: Trace) -> float:
     """Return ET [s]: the time to the collision or, without one, the planned duration."""
     planned = criticality.planned_duration(trace)
     if trace.outcome == Outcome.COLLISION:
-        return min(criticality.execution_time(trace), planned)
+        return min(trace.duration, planned)
     return planned
 
 

@@ -19,12 +19,10 @@ from pytest_pafot.model.instructions import (
     Choices,
     Instruction,
     PositionInstruction,
-    are_valid,
     chains_of,
     known,
     pick,
     random_lanes,
-    repair_chains,
 )
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -34,9 +32,7 @@ from pytest_pafot.model.scenario import (
     PAPER_SPEED_LIMIT,
     Chromosome,
     Scenario,
-    on_grid,
-    positions_of,
-    with_targets,
+    repaired_chains,
 )
 from pytest_pafot.model.vehicle_type import (
     CAR,
@@ -119,12 +115,6 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-# The steps of each pattern, by its name, with left and right exchanged. Half of the samples use these steps.
-MIRRORED = {
-    pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
-    for pattern in PATTERNS
-}
-
 # the lowest and highest target speed on the way from one pattern to the next
 WALKING = ((1.0, -2.0), (1.0, 3.0))
 
@@ -153,7 +143,10 @@ def followed_by_pattern(
     ``ego_speed`` is in m/s, and ``choices`` limits the speeds.
     """
     pattern = pick(PATTERNS, rng)
-    steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
+    steps = pattern.steps
+    # half of the samples exchange left and right
+    if rng.integers(2):
+        steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
     way: list[Step] = []
     if chain:
         cells = _between(chain[-1].cell, steps[0].cell, rng)
@@ -560,14 +553,10 @@ def repaired(
         make = Scenario.trusted
         if vehicles is None:
             vehicles = start.vehicles
-    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair. Speed
-    # matters here, because a search repairs every child.
-    cells = [[gene.cell for gene in chain] for chain in positions_of(chains)]
-    npcs = tuple(map(tuple, chains))
-    if not are_valid(cells):
-        npcs = with_targets(npcs, on_grid(npcs, repair_chains(cells, seed)))
+    # The result equals that of Scenario.repaired. This is much faster, because it skips the checks. Speed matters here,
+    # because a search repairs every child.
     return make(
-        npcs=npcs,
+        npcs=repaired_chains(chains, seed),
         seed=seed,
         ego_lane=start.ego_lane,
         ego_speed=start.ego_speed,

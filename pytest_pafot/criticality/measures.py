@@ -374,15 +374,12 @@ def hardest_brake(trace: Trace) -> float:
     return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
 
 
-def execution_time(trace: Trace) -> float:
-    """Return the paper's ET [s], the simulated duration of the run."""
-    return trace.duration
-
-
 def planned_duration(trace: Trace) -> float:
     """Return the total duration [s] of the scenario's genes, or of the run if a gene has no duration."""
     seconds = trace.scenario.seconds
-    return trace.duration if seconds == math.inf else seconds
+    if seconds == math.inf:
+        return trace.duration
+    return seconds
 
 
 def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:

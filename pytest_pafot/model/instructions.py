@@ -429,6 +429,8 @@ class TimedInstruction(Instruction):
 
     __slots__ = ("code", "target", "text")
 
+    targets: ClassVar[Sequence[Any]]
+    # All targets that a gene of this kind can have.
     target: int | str
     code: float
     text: str
@@ -451,6 +453,15 @@ class TimedInstruction(Instruction):
 
     def aimed(self, target: Any) -> Self:
         return cast("Self", known(type(self), target, self.speed))
+
+    def varied(self, choices: Choices, rng: Generator) -> Self:
+        # Uniform over all targets, whether or not another NPC has the cell.
+        target = pick(self.targets, rng)
+        return cast("Self", known(type(self), target, choices.any_speed(rng)))
+
+    @classmethod
+    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[Self]:
+        return [known(cls, target, speed) for target in cls.targets for speed in speeds]
 
 
 @lru_cache(maxsize=1 << 15, typed=True)
@@ -511,6 +522,7 @@ class PositionInstruction(TimedInstruction):
 
     on_grid = True
     goal_kind = "cell"
+    targets = tuple(Cell)
 
     def __post_init__(self) -> None:
         if type(self.cell) is not Cell:
@@ -528,12 +540,6 @@ class PositionInstruction(TimedInstruction):
     def goal(self) -> str:
         return f"{int(self.cell)} {self.cell.label}"
 
-    def varied(self, choices: Choices, rng: Generator) -> PositionInstruction:
-        # Uniform over the eight cells, whether or not another NPC has the cell.
-        cell = int(rng.integers(1, 9))
-        gene: PositionInstruction = known(PositionInstruction, cell, choices.any_speed(rng))
-        return gene
-
     def moves(self, before: Any) -> int:
         return int(before is not None and before.cell != self.cell)
 
@@ -541,10 +547,6 @@ class PositionInstruction(TimedInstruction):
         if before is None:
             return None
         return PositionInstruction(before.cell, self.speed)
-
-    @classmethod
-    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[PositionInstruction]:
-        return [PositionInstruction(cell, speed) for cell in Cell for speed in speeds]
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         return {"requested": int(requested.cell), "cell": int(self.cell)}
@@ -575,6 +577,7 @@ class LaneInstruction(TimedInstruction):
     speed: float
 
     goal_kind = "lane"
+    targets = SHIFTS
 
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
@@ -589,7 +592,7 @@ class LaneInstruction(TimedInstruction):
 
     @property
     def column(self) -> int:
-        return (0, -1, 1)[SHIFTS.index(self.lane)]
+        return {"keep": 0, "left": -1, "right": 1}[self.lane]
 
     @property
     def goal(self) -> str:
@@ -598,9 +601,6 @@ class LaneInstruction(TimedInstruction):
     @property
     def afterwards(self) -> LaneInstruction:
         return replace(self, lane="keep")
-
-    def varied(self, choices: Choices, rng: Generator) -> LaneInstruction:
-        return random_lanes(choices, 1, 1, rng)[0][0]
 
     def moves(self, before: Any) -> int:
         return int(self.lane != "keep")
@@ -612,10 +612,6 @@ class LaneInstruction(TimedInstruction):
         # If there is no cell in that direction, the NPC stays in the same cell.
         there = cell_at(cell.row, cell.column + self.column, 1.0, 1.0)  # a grid of 1 m by 1 m
         return PositionInstruction(there or cell, self.speed)
-
-    @classmethod
-    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[LaneInstruction]:
-        return [LaneInstruction(lane, speed) for lane in SHIFTS for speed in speeds]
 
     def words(self, apart: float) -> str:
         if math.isnan(apart):

@@ -161,7 +161,7 @@ class Scenario(_Hashed):
         """Make a scenario from chains, and repair invalid cells."""
         return cls(
             # A cell is invalid if the NPC cannot reach it from the previous cell in one step, or if two NPCs occupy it.
-            npcs=_repaired(npcs, seed),
+            npcs=repaired_chains(_checked_chains(npcs), _checked_whole("seed", seed, MAX_SEED)),
             seed=seed,
             ego_lane=ego_lane,
             ego_speed=ego_speed,
@@ -257,7 +257,7 @@ class Scenario(_Hashed):
         npcs: Sequence[Sequence[Instruction]],
         gene_seconds: float | None = None,
     ) -> Scenario:
-        chains = _repaired(npcs, self.seed)
+        chains = repaired_chains(_checked_chains(npcs), self.seed)
         if gene_seconds is not None:
             return replace(self, npcs=chains, gene_seconds=gene_seconds)
         same = {each.name: getattr(self, each.name) for each in fields(self)}
@@ -390,14 +390,14 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     return without_last_cars(found)
 
 
-def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:
+def repaired_chains(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:
+    """Return chains with valid cells. Valid chains are unchanged."""
     # Random choices of the repair depend only on the seed, the NPC and the gene.
-    chains = _checked_chains(npcs)
+    chains = tuple(map(tuple, npcs))
     wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
     if are_valid(wanted):
         return chains
-    cells = repair_chains(wanted, _checked_whole("seed", seed, MAX_SEED))
-    return with_targets(chains, on_grid(chains, cells))
+    return with_targets(chains, on_grid(chains, repair_chains(wanted, seed)))
 
 
 def positions_of(

@@ -36,7 +36,7 @@ from pytest_pafot.criticality.signals import (
     leader,
 )
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.instructions import Cell, CrossingInstruction
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import (
     ACCELERATION,
@@ -756,11 +756,6 @@ class Run:
         return lines
 
 
-def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Describe a crossing NPC's instruction in words."""
-    return instruction.words_from("" if zone is None else zone.whence)
-
-
 def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
     """Return how many lanes an NPC is to the right of the ego when a gene starts, or NaN."""
     return _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
@@ -801,8 +796,10 @@ def _crossing_lines(trace: Trace) -> list[str]:
     passed = passages(trace)
     lines = []
     for npc, each in told[:room]:
-        where = f"{each.zone} {crossing_text(each, trace.zone_of(npc))}, {each.speed:.1f} m/s"
-        lines.append(f"  NPC {npc}: {where}{_passed(passed[npc])}")
+        zone = trace.zone_of(npc)
+        words = each.words_from("" if zone is None else zone.whence)
+        line = f"  NPC {npc}: {each.zone} {words}, {each.speed:.1f} m/s"
+        lines.append(f"{line}{_passed(passed[npc])}")
     if len(told) > room:
         lines.append(f"  ... and {len(told) - room} more crossing NPCs")
     return lines

@@ -35,7 +35,7 @@ IN_ONE_LANE = {
 }
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
-    "Encounters", "Passage", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
+    "Encounters", "Passage", "RoadFrame", "RssRules", "hardest_brake",
     "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration",
     "time_advantage",
 }  # fmt: skip

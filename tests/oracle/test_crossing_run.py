@@ -7,7 +7,7 @@ import pytest
 
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run, crossing_text
+from pytest_pafot.oracle.run import Run
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
@@ -118,8 +118,8 @@ def test_instruction_words_have_slot_and_act(act):
         "late": "5 s after the ego leaves, starts late",
     }
     slot = {"pass": 0.5, "hold": -1.0, "stop": 0.0, "late": 5.0}[act]
-    zone = None if act == "late" else ZONES[CROSSES]
-    assert crossing_text(CrossingInstruction(CROSSES, slot, 8.6, act), zone) == words[act]
+    whence = "" if act == "late" else ZONES[CROSSES].whence
+    assert CrossingInstruction(CROSSES, slot, 8.6, act).words_from(whence) == words[act]
 
 
 def test_a_run_has_the_passages_of_its_zones():
