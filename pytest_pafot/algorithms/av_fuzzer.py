@@ -350,4 +350,6 @@ def distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _weight(evaluation: Evaluation) -> float:
-    return evaluation.fitness if evaluation.eligible else -math.inf
+    if evaluation.eligible:
+        return evaluation.fitness
+    return -math.inf

@@ -150,7 +150,9 @@ class CrossingTraffic:
         if another is not None:
             return another
         last = replace(instruction, slot=LARGEST_SLOT, act="pass")
-        return last if self.has_room(last, others) else None
+        if self.has_room(last, others):
+            return last
+        return None
 
     def speeds(self, zone: str) -> list[float]:
         """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""

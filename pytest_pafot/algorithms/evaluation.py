@@ -186,7 +186,9 @@ def ended_by(trace: Trace) -> str:
         return ""
     if ended:
         return ".".join(ended.split(".")[-2:])  # without the module
-    return LEAVING[trace.outcome] if trace.off_road_tick in (None, trace.ticks) else ""
+    if trace.off_road_tick in (None, trace.ticks):
+        return LEAVING[trace.outcome]
+    return ""
 
 
 # Results of earlier runs of a search, so that none of the last ten thousand runs is simulated twice.

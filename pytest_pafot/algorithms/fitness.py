@@ -296,7 +296,9 @@ def _time_to_collision(trace: Trace) -> float:
 
 
 def _never_nan(value: float) -> float:
-    return WORST_RANK if math.isnan(value) else value
+    if math.isnan(value):
+        return WORST_RANK
+    return value
 
 
 def _bounded(value: float) -> float:

@@ -220,7 +220,9 @@ def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
     # The paper does not specify how parents are selected. A binary tournament is the usual choice.
     indices: list[int] = rng.integers(len(population), size=2).tolist()
     first, second = (population[index] for index in indices)
-    return second if second.rank > first.rank else first
+    if second.rank > first.rank:
+        return second
+    return first
 
 
 def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, Evaluation]:
@@ -241,7 +243,9 @@ def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, 
 def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
     """Return the best evaluation, or None if none is eligible."""
     best = max(evaluations, key=lambda evaluation: evaluation.rank, default=None)
-    return best if best is not None and best.eligible else None
+    if best is not None and best.eligible:
+        return best
+    return None
 
 
 def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:

@@ -49,7 +49,9 @@ def plain(value: Any) -> Any:
         return [plain(each) for each in value]
     if isinstance(value, float):
         number = float(value)
-        return number if math.isfinite(number) else repr(number)
+        if math.isfinite(number):
+            return number
+        return repr(number)
     if isinstance(value, Enum):
         return value.value
     try:
@@ -130,7 +132,9 @@ def _read(kind: Any, data: Any) -> Any:
         known = [each.value for each in kind] if is_enum else inner
         if type(data) not in (str, int) or data not in known:
             raise _refuse(f"one of {', '.join(map(str, known))}", data)
-        return kind(data) if is_enum else data
+        if is_enum:
+            return kind(data)
+        return data
 
     if hasattr(kind, "fromisoformat"):
         try:

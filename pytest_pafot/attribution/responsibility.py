@@ -271,7 +271,9 @@ def position_rule(trace: Trace) -> Responsibility:
     was_ahead = hit.side == "front"
     if hit.cell is not None:
         was_ahead = hit.cell.row > 0
-    return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
+    if was_ahead and hit.ego_speed > STANDING_SPEED:
+        return "ego"
+    return "npc"
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
@@ -285,7 +287,9 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
         return BY_FAULT[fault]
     if fault == "did-not-give-way":
         zone = trace.zone_of(npc)
-        return None if zone is None else NOT_GIVEN_WAY[zone.origin]
+        if zone is None:
+            return None
+        return NOT_GIVEN_WAY[zone.origin]
     frame = frame_of(trace)
     # When the ego crossed the line, the other vehicle was ahead if the gap was above NEXT_TO. It was behind if it was
     # completely behind the ego.
@@ -293,7 +297,9 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     both = frame.half_lengths(npc)[tick]
     if ahead > both + NEXT_TO:
         return "kept-no-distance"
-    return "moved-in-front" if ahead < -both else "moved-into-side"
+    if ahead < -both:
+        return "moved-in-front"
+    return "moved-into-side"
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
@@ -348,7 +354,9 @@ class Conflict:
         last = max(ego, npc)
         # Rule 2: a lane change counts unless the danger started only after the two were in the same track.
         if last >= 0 and max(last, self._met) >= self.danger:
-            return self._ego_moved_in(ego) if ego >= npc else self._npc_moved_in(npc)
+            if ego >= npc:
+                return self._ego_moved_in(ego)
+            return self._npc_moved_in(npc)
         # Rule 5: they were side by side when their tracks met.
         if last < 0 and 0 < self._met >= self.danger and self._gaps[self._met] <= 0:
             return self._came_together()
@@ -627,7 +635,9 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
             found = Ruling("ego", first.entry, "entered", first.vehicle, fault)
             if len(at_fault) > 1:
                 return found._replace(responsibility="both")
-            return found._replace(responsibility="npc") if first is other else found
+            if first is other:
+                return found._replace(responsibility="npc")
+            return found
     if in_lane is not None:
         return in_lane
     return Ruling("none", trace.ticks, "entered" if is_in_zone else "elsewhere")
@@ -668,14 +678,18 @@ class Passing:
         left = place - self.places[:before]
         speeds = self.speeds[:before]
         could = np.flatnonzero(left >= speeds * DELAY + speeds**2 / (2 * HARDEST))
-        return int(could[-1]) if could.size else -1
+        if could.size:
+            return int(could[-1])
+        return -1
 
     def _foreseen(self, tick: int, time: float) -> float:
         # The position [m] at a time [s], if the vehicle keeps the speed that it has at the tick.
         place = float(self.places[tick])
         speed = max(float(self.speeds[tick]), 0.0)
         # a vehicle at rest stays where it is, even for an infinite time
-        return place + speed * (time - tick / self._hz) if speed else place
+        if speed:
+            return place + speed * (time - tick / self._hz)
+        return place
 
     def _leaves(self) -> float:
         # The time [s] at which the vehicle leaves the zone; after the run, it keeps its last speed.

@@ -317,7 +317,9 @@ def _deed(
         then = f" from {since / hz:.1f} s on"
     kept = _kept(part[-1])
     if not told and kept == STOOD:
-        return STOOD if is_ahead else f"{STOOD}{then}"
+        if is_ahead:
+            return STOOD
+        return f"{STOOD}{then}"
     if not told:
         texts = [kept]
     if not has_braked and not is_ahead:
@@ -326,7 +328,9 @@ def _deed(
 
 
 def _kept(speed: float) -> str:
-    return STOOD if speed < SAME else f"drove at {speed:.1f} m/s"
+    if speed < SAME:
+        return STOOD
+    return f"drove at {speed:.1f} m/s"
 
 
 def _turns(speeds: FloatArray) -> list[int]:

@@ -60,7 +60,9 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
         first = (number + 1 - IN_SUCCESSION) * STEP
         if streak >= IN_SUCCESSION and _tick(trace, first) >= 0:
             return first
-    return 0.0 if is_known else None
+    if is_known:
+        return 0.0
+    return None
 
 
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
@@ -72,7 +74,9 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     recorded = trace.states[: tick + 1]
     if repeated.shape != recorded.shape:
         return None
-    return taken if (np.abs(repeated - recorded) <= ROUNDING).all() else None
+    if (np.abs(repeated - recorded) <= ROUNDING).all():
+        return taken
+    return None
 
 
 def sentence(seconds: float) -> str:
@@ -92,7 +96,9 @@ def _tick(trace: Trace, seconds: float) -> int:
 
 
 def _impact(trace: Trace) -> int:
-    return trace.ticks if trace.collision is None else trace.collision.tick
+    if trace.collision is None:
+        return trace.ticks
+    return trace.collision.tick
 
 
 def _until(trace: Trace) -> int:

@@ -391,7 +391,9 @@ def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 def last_stretch(holds: npt.NDArray[np.bool_]) -> int:
     """Return the first tick of the last interval in which a condition is true."""
     fails = np.flatnonzero(~holds[:-1])
-    return int(fails[-1]) + 1 if fails.size else 0
+    if fails.size:
+        return int(fails[-1]) + 1
+    return 0
 
 
 def _lowest(values: FloatArray) -> float:

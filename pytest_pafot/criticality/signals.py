@@ -121,7 +121,9 @@ def _first_at(place: float, along: FloatArray) -> float:
     if np.isnan(along).any():
         return math.nan
     ticks = np.flatnonzero(along >= place)
-    return float(ticks[0]) if ticks.size else math.inf
+    if ticks.size:
+        return float(ticks[0])
+    return math.inf
 
 
 def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -> FloatArray:
@@ -346,7 +348,9 @@ class Signals:
             raise ValueError(
                 f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}"
             )
-        return values if npc is None else values[npc]
+        if npc is None:
+            return values
+        return values[npc]
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
         # Yields the name and the values of each measure, with `npcs[0].ttc` and so on for a measure of each NPC.

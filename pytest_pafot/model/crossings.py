@@ -291,7 +291,9 @@ class Crossings:
         for one, other in zip(zone, its_zone, strict=True):
             if abs(other - one - farther) > 2 * STEP:
                 return None
-        return ((mine[1], zone[0]), farther) if mine[1] <= zone[0] else None
+        if mine[1] <= zone[0]:
+            return ((mine[1], zone[0]), farther)
+        return None
 
     def _crowd(
         self,

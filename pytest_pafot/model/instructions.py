@@ -106,7 +106,9 @@ def cell_at(
 def _third(value: float, half: float) -> int:
     if value > half:
         return 1
-    return -1 if value < -half else 0
+    if value < -half:
+        return -1
+    return 0
 
 
 def toss(seed: int, npc: int, gene: int) -> bool:
@@ -596,7 +598,9 @@ class LaneInstruction(TimedInstruction):
 
     @property
     def goal(self) -> str:
-        return "keep lane" if self.lane == "keep" else f"one lane {self.lane}"
+        if self.lane == "keep":
+            return "keep lane"
+        return f"one lane {self.lane}"
 
     @property
     def afterwards(self) -> LaneInstruction:
@@ -638,7 +642,9 @@ class LaneInstruction(TimedInstruction):
         return f"{words} {self.speed:.1f} m/s {end}".rstrip()
 
     def lasting(self, later: Any) -> int | None:
-        return self.column if later.lane == "keep" else None
+        if later.lane == "keep":
+            return self.column
+        return None
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         words = self.words(apart)
@@ -648,7 +654,9 @@ class LaneInstruction(TimedInstruction):
 
 
 def _side(apart: float) -> str:
-    return "left" if apart < 0 else "right"
+    if apart < 0:
+        return "left"
+    return "right"
 
 
 def random_lanes(
@@ -774,7 +782,9 @@ class CrossingInstruction(Instruction):
     @property
     def short(self) -> str:
         text = f"{self.target}@{self.speed:g} {self.slot:+g} s"
-        return text if self.act == "pass" else f"{text} {self.act}"
+        if self.act == "pass":
+            return text
+        return f"{text} {self.act}"
 
     def plain(self) -> list[Any]:
         return [self.zone, self.speed, self.slot, self.act]

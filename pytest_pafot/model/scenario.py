@@ -197,7 +197,9 @@ class Scenario(_Hashed):
         """Each NPC's ``CrossingInstruction`` or None; empty if no NPC crosses."""
         first = [chain[0] for chain in self.npcs]
         found: list[Any] = [gene if gene.crosses else None for gene in first]
-        return tuple(found) if any(found) else ()
+        if any(found):
+            return tuple(found)
+        return ()
 
     @property
     def genes(self) -> int:
@@ -207,7 +209,9 @@ class Scenario(_Hashed):
     @property
     def seconds(self) -> float:
         """The duration [s] of the longest chain, or infinity if an NPC crosses."""
-        return math.inf if self.crossings else self.genes * self.gene_seconds
+        if self.crossings:
+            return math.inf
+        return self.genes * self.gene_seconds
 
     @property
     def id(self) -> str:
@@ -264,7 +268,9 @@ class Scenario(_Hashed):
         return Scenario.trusted(**same | {"npcs": chains})
 
     def vehicle_of(self, npc: int) -> VehicleType:
-        return self.vehicles[npc] if npc < len(self.vehicles) else CAR
+        if npc < len(self.vehicles):
+            return self.vehicles[npc]
+        return CAR
 
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:

@@ -186,7 +186,9 @@ class RoadOfRun:
     def heading(self) -> float | None:
         # None if the lanes have different headings.
         headings = {lane.heading for lane in self._lanes}
-        return headings.pop() if len(headings) == 1 else None
+        if len(headings) == 1:
+            return headings.pop()
+        return None
 
     @property
     def angles(self) -> FloatArray:
@@ -282,7 +284,9 @@ class RoadOfRun:
     def counted(self, tick: int, vehicle: int) -> float:
         # The number of the vehicle's lane, counted to the right from any lane; NaN if unknown.
         lane = float(self._states[tick, vehicle, LANE])
-        return lane if lane >= 0 else math.nan
+        if lane >= 0:
+            return lane
+        return math.nan
 
     def direction_of_places(self, tick: int) -> float:
         return self._lanes[0].heading
@@ -478,7 +482,9 @@ class Trace:
     @property
     def users_error_text(self) -> str:
         # The user's code that made the run invalid, or an empty string.
-        return self.ended if self.outcome is Outcome.INVALID else ""
+        if self.outcome is Outcome.INVALID:
+            return self.ended
+        return ""
 
     def __post_init__(self) -> None:
         # Arrays become read-only and float64. An array that its owner could still change is copied.
@@ -571,7 +577,9 @@ class Trace:
 
     def zone_of(self, npc: int) -> Zone | None:
         # Empty `zones` mean that no NPC crosses.
-        return self.zones[npc] if self.zones else None
+        if self.zones:
+            return self.zones[npc]
+        return None
 
     def rows_until(self, tick: int) -> dict[str, Any]:
         # The arrays with one row per tick up to this one, by the names of their fields.
@@ -580,7 +588,9 @@ class Trace:
         return rows | given
 
     def vehicle_type(self, vehicle: int) -> VehicleType:
-        return self.scenario.vehicle_of(vehicle - 1) if vehicle else self.ego_vehicle
+        if vehicle:
+            return self.scenario.vehicle_of(vehicle - 1)
+        return self.ego_vehicle
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:
@@ -611,7 +621,9 @@ SURVIVES = "the cause is probably state that survives `start` or `reset`, or a r
 
 def vehicle_name(vehicle: int) -> str:
     """Return the name of a vehicle for messages. Number 0 is the ego."""
-    return f"NPC {vehicle - 1}" if vehicle else "the ego"
+    if vehicle:
+        return f"NPC {vehicle - 1}"
+    return "the ego"
 
 
 def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:

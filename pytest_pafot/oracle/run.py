@@ -314,7 +314,9 @@ def _npc(name: str, npc: Any) -> int | None:
         raise ValueError(
             f"check {name!r}: expected npc= to be the index of an NPC{there}, received {npc!r:.100}"
         )
-    return None if npc < 0 else int(npc)
+    if npc < 0:
+        return None
+    return int(npc)
 
 
 def _short(value: float, bound: float | None) -> str:
@@ -540,13 +542,17 @@ class Run:
     def responsibility(self) -> Responsibility | None:
         """The side responsible for the collision: ``"ego"``, ``"npc"``, ``"both"`` or None."""
         verdict = self.attribution.responsibility
-        return None if verdict == "none" else verdict
+        if verdict == "none":
+            return None
+        return verdict
 
     @property
     def second_opinion(self) -> Responsibility | None:
         """The side that the paper authors' simpler rule blames: ``"ego"``, ``"npc"`` or None."""
         verdict = position_rule(self.trace)
-        return None if verdict == "none" else verdict
+        if verdict == "none":
+            return None
+        return verdict
 
     # The most important moment of the run.
 
@@ -564,7 +570,9 @@ class Run:
     def closest_time(self) -> float:
         """The time [s] at which the distance between the boxes is smallest."""
         closest = self.closest_approach
-        return self.duration if closest is None else closest.time
+        if closest is None:
+            return self.duration
+        return closest.time
 
     @cached_property
     def event_time(self) -> float:
@@ -587,13 +595,17 @@ class Run:
     def event_npc(self) -> int | None:
         """The NPC that collided, or else the one with the smallest time to contact, or None."""
         event = self.collision or self.worst_ttc
-        return None if event is None else event.npc
+        if event is None:
+            return None
+        return event.npc
 
     @property
     def event_cell(self) -> Cell | None:
         """The cell of ``event_npc`` at the event, if it was on the ego's path."""
         event = self.collision or self.worst_ttc
-        return None if event is None else event.cell
+        if event is None:
+            return None
+        return event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
         """Return the conflict zone of an event's NPC, or None once the NPC has merged."""
@@ -604,13 +616,17 @@ class Run:
         if zone is None or event.cell is None:
             return zone
         # After an NPC has merged and left the zone, it is on the ego's path like any other.
-        return zone if on_way[event.tick, event.npc] <= zone.npc[1] else None
+        if on_way[event.tick, event.npc] <= zone.npc[1]:
+            return zone
+        return None
 
     def place_of(self, event: Collision | Moment) -> str:
         """Return the position of an event's NPC, such as ``in cell 2 (front)``, or an empty string."""
         zone = self.zone_of(event)
         if zone is None or event.npc is None:
-            return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
+            if event.cell is None:
+                return ""
+            return f"in cell {int(event.cell)} ({event.cell.label})"
         along = self.trace.way_of(event.npc)[event.tick]
         enters, leaves = zone.npc
         where = "in"
