@@ -16,9 +16,11 @@ from numpy.random import Generator
 from pytest_pafot.algorithms.evaluation import (
     AlgorithmEvent,
     Evaluation,
+    Events,
     GenerationFinished,
     LocalSearchStarted,
     NewBest,
+    Population,
     Restarted,
 )
 from pytest_pafot.algorithms.operators import with_chain
@@ -47,8 +49,8 @@ class AvFuzzerState:
     # 0 in the main search; a local search starts at 1, the generation of the mutants
     local_generation: int = 0
     # the members that the last generation selected; empty before a random population
-    population: tuple[Evaluation, ...] = ()
-    local_population: tuple[Evaluation, ...] = ()  # the same for the current local search
+    population: Population = ()
+    local_population: Population = ()  # the same for the current local search
     global_best: Evaluation | None = None  # the fittest of all generations; it survives restarts
     local_best: Evaluation | None = None  # the best of the current local search
     # index of the best member of the population, which the result of a local search can replace
@@ -137,7 +139,7 @@ class AvFuzzerSearch:
         state: AvFuzzerState,
         evaluations: Sequence[Evaluation],
         rng: Generator,
-    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[AvFuzzerState, Events]:
         scenarios = None
         if state.asked is not None:
             scenarios = [scenario for _, scenario in state.asked]
@@ -192,9 +194,9 @@ class AvFuzzerSearch:
     def _after_generation(
         self,
         state: AvFuzzerState,
-        selected: tuple[Evaluation, ...],
+        selected: Population,
         rng: Generator,
-    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[AvFuzzerState, Events]:
         slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
         best = selected[slot]
         fitness = _weight(best)
@@ -234,9 +236,9 @@ class AvFuzzerSearch:
     def _after_local_generation(
         self,
         state: AvFuzzerState,
-        selected: tuple[Evaluation, ...],
+        selected: Population,
         rng: Generator,
-    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[AvFuzzerState, Events]:
         best = max(selected, key=_weight)
         # of equal members, the one from the last generation counts
         if state.local_best is not None and _weight(state.local_best) > _weight(best):
@@ -289,7 +291,7 @@ def mutate_manoeuvre(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
     return replace(scenario, npcs=with_chain(scenario.npcs, npc, changed))
 
 
-def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
+def roulette(population: Sequence[Evaluation], rng: Generator) -> Population:
     """Sample a population of the same size with replacement, with probabilities proportional to fitness."""
     # If a fitness is negative, all are raised until the lowest is 0. Runs that are not eligible, such as collisions
     # between NPCs, are selected only if all other runs have the same negative fitness, or if there are no others.

@@ -153,6 +153,9 @@ class Evaluation:
         return next(enough, longest)
 
 
+Population = tuple[Evaluation, ...]
+
+
 def has_interaction(trace: Trace) -> bool:
     """Return whether an NPC gave the ego a reason to react."""
     # Reasons are a collision, a short headway or gap in the ego's lane, and a close crossing.
@@ -389,6 +392,7 @@ class PlanFinished:
 # The events that an algorithm returns from `tell`.
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 
+Events = tuple[AlgorithmEvent, ...]
 Event = PlanStarted | Evaluated | AlgorithmEvent | PlanFinished  # the events of a search
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from numpy.random import Generator
 
 from pytest_pafot.algorithms.crossing_traffic import CrossingTraffic
-from pytest_pafot.algorithms.evaluation import Evaluation
+from pytest_pafot.algorithms.evaluation import Evaluation, Population
 from pytest_pafot.algorithms.space import (
     SearchSpace,
     followed_by_pattern,
@@ -232,7 +232,7 @@ def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluatio
     return first, tournament(others or population, rng)
 
 
-def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, ...]:
+def elites(population: Sequence[Evaluation], share: float) -> Population:
     """Return the eligible members among the best ``share`` of a population, best first (section 3.5)."""
     # 0.1 of 30 is 3. A floating-point error must not turn it into 4.
     count = math.ceil(round(share * len(population), 9))

@@ -12,12 +12,13 @@ from typing import ClassVar
 from numpy.random import Generator
 
 from pytest_pafot.algorithms.evaluation import (
-    AlgorithmEvent,
     Evaluation,
     EvaluationCache,
+    Events,
     GenerationFinished,
     LocalSearchStarted,
     NewBest,
+    Population,
     Restarted,
 )
 from pytest_pafot.algorithms.operators import best_of, breed, elites, improves, mutate, parents
@@ -39,13 +40,13 @@ class PafotState:
     generation: int = 0
     # 0 in the main search; a local search starts at 1, the generation of the mutants
     local_generation: int = 0
-    population: tuple[Evaluation, ...] = ()  # population of the main search
-    local_population: tuple[Evaluation, ...] = ()  # population of the current local search
+    population: Population = ()  # population of the main search
+    local_population: Population = ()  # population of the current local search
     # the best since the last restart; None before the first eligible run
     best: Evaluation | None = None
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
-    kept: tuple[Evaluation, ...] = ()  # evaluated members that the next population keeps
+    kept: Population = ()  # evaluated members that the next population keeps
     fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
     # scenarios under evaluation; None if the next call must be ask
     asked: tuple[Scenario, ...] | None = None
@@ -123,7 +124,7 @@ class PafotSearch:
         state: PafotState,
         evaluations: Sequence[Evaluation],
         rng: Generator,
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[PafotState, Events]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -174,9 +175,9 @@ class PafotSearch:
     def _after_generation(
         self,
         state: PafotState,
-        population: tuple[Evaluation, ...],
+        population: Population,
         rng: Generator,
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[PafotState, Events]:
         generation = state.generation
         candidate = best_of(population)
         state = replace(state, population=population)
@@ -201,8 +202,8 @@ class PafotSearch:
     def _after_local_generation(
         self,
         state: PafotState,
-        population: tuple[Evaluation, ...],
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        population: Population,
+    ) -> tuple[PafotState, Events]:
         local_generation = state.local_generation
         if local_generation <= self.local_generations:
             after = replace(

@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from numpy.random import Generator as Rng
 
 from pytest_pafot.algorithms.evaluation import (
-    AlgorithmEvent,
     EndReason,
     Evaluated,
     Evaluation,
     EvaluationCache,
     Event,
+    Events,
     GenerationFinished,
     LocalSearchFinished,
     NewBest,
@@ -72,7 +72,7 @@ class Algorithm(Protocol[StateT]):
         state: StateT,
         evaluations: Sequence[Evaluation],
         rng: Rng,
-    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[StateT, Events]:
         """Finish a generation. The evaluations are in the order of its scenarios.
 
         Raises:
@@ -149,7 +149,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         state: GenerationStateT,
         evaluations: Sequence[Evaluation],
         rng: Rng,
-    ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
+    ) -> tuple[GenerationStateT, Events]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -172,7 +172,7 @@ def end_of_local_search(
     state: SearchState,
     incumbent: Evaluation,
     better: Evaluation | None,
-) -> tuple[AlgorithmEvent, ...]:
+) -> Events:
     """Return the events at the end of a local search. ``better`` is its result, or None if that is not better."""
     finished = LocalSearchFinished(
         generation=state.generation,

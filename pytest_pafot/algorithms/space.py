@@ -17,12 +17,12 @@ from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
     Cell,
     Choices,
-    Instruction,
     PositionInstruction,
     chains_of,
     known,
     pick,
     random_lanes,
+    set_fields,
 )
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -30,6 +30,7 @@ from pytest_pafot.model.scenario import (
     GENE_SECONDS,
     LONGEST_GENE,
     PAPER_SPEED_LIMIT,
+    Chains,
     Chromosome,
     Scenario,
     repaired_chains,
@@ -253,39 +254,27 @@ class SearchSpace:
 
     def __post_init__(self) -> None:
         npcs = checked_whole(
-            self.npcs,
-            "npcs",
-            "1 to 8 NPCs, at most one per cell",
-            least=1,
-            most=8,
+            self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8
         )
-        object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
-        object.__setattr__(self, "genes", genes)
+        set_fields(self, npcs=npcs, genes=genes)
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         checked_number(
-            self.gene_seconds,
-            "gene_seconds",
-            expected,
-            least=POSITIVE,
-            most=LONGEST_GENE,
+            self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE
         )
         checked_number(
-            self.speed_limit,
-            "speed_limit",
-            "a finite speed of at least 0 m/s",
-            least=0.0,
+            self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0
         )
         if self.tick:
-            object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
             durations = tuple(map(self._in_ticks, self.gene_durations))
-            object.__setattr__(self, "gene_durations", durations)
+            seconds = self._in_ticks(self.gene_seconds)
+            set_fields(self, gene_seconds=seconds, gene_durations=durations)
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             raise ValueError(
                 f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}"
             )
         if self.vehicles != CARS:  # a fast comparison, since each sampled start makes a space
-            object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
+            set_fields(self, vehicles=named_vehicles(self.vehicles))
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
             raise ValueError(
@@ -538,7 +527,7 @@ def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def repaired(
-    chains: Sequence[Sequence[Instruction]],
+    chains: Chains,
     seed: int,
     start: Scenario | SearchSpace,
     vehicles: tuple[VehicleType, ...] | None = None,

@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.attribution.sentences import Happened, sentences_on
 from pytest_pafot.criticality import RoadFrame, RssRules
@@ -26,14 +25,13 @@ from pytest_pafot.model.trace import (
     LANE,
     OFFSET,
     SPEED,
+    BoolArray,
     FloatArray,
     Lane,
     Trace,
     X,
     Y,
 )
-
-Bools = npt.NDArray[np.bool_]
 
 # "none": there was no collision, or neither vehicle could foresee the other in time at a junction.
 Responsibility = Literal["ego", "npc", "both", "none"]
@@ -529,14 +527,14 @@ class Conflict:
         return None
 
 
-def reasons(trace: Trace, ticks: slice) -> Bools:
+def reasons(trace: Trace, ticks: slice) -> BoolArray:
     """Return for each tick whether the ego had a reason to brake."""
     return np.asarray(
         _has_traffic(trace, ticks) | _has_crossing(trace, ticks) | _ends(trace, ticks)
     )
 
 
-def _has_traffic(trace: Trace, ticks: slice) -> Bools:
+def _has_traffic(trace: Trace, ticks: slice) -> BoolArray:
     # Whether a vehicle ahead or alongside is a reason to brake.
     frame = frame_of(trace)
     speed = frame.speed[0, ticks]
@@ -561,11 +559,11 @@ def _has_traffic(trace: Trace, ticks: slice) -> Bools:
     return np.asarray(is_reason.any(axis=0))
 
 
-def _has_crossing(trace: Trace, ticks: slice) -> Bools:
+def _has_crossing(trace: Trace, ticks: slice) -> BoolArray:
     # Whether the ego and a crossing NPC are both in their conflict zone, or near it.
     found = np.zeros(len(trace.ego[ticks]), dtype=np.bool_)
 
-    def nears(vehicle: int, places: FloatArray, stretch: Stretch) -> Bools:
+    def nears(vehicle: int, places: FloatArray, stretch: Stretch) -> BoolArray:
         enters, leaves = stretch
         before = np.maximum(NEAR_SECONDS * trace.states[ticks, vehicle, SPEED], STANDSTILL_GAP)
         return np.asarray((places[ticks] < leaves) & (enters - places[ticks] <= before))
@@ -577,7 +575,7 @@ def _has_crossing(trace: Trace, ticks: slice) -> Bools:
     return found
 
 
-def _ends(trace: Trace, ticks: slice) -> Bools:
+def _ends(trace: Trace, ticks: slice) -> BoolArray:
     # Whether the ego's lane ends soon, and no other lane continues it.
     lane = _lane_of_ego(trace, ticks)
     x = lane.x + lane.length * math.cos(lane.heading)

@@ -11,7 +11,6 @@ from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
 from pytest_pafot.model.trace import (
@@ -19,6 +18,7 @@ from pytest_pafot.model.trace import (
     HEADING,
     LANE,
     SPEED,
+    BoolArray,
     FloatArray,
     Trace,
 )
@@ -109,7 +109,7 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
     return Pairs(a=a, b=b, offsets=offsets, reaches=reaches, cos=cos, sin=sin)
 
 
-def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
+def overlaps(pairs: Pairs) -> BoolArray:
     """Return whether the two boxes of each pair overlap."""
     result = np.ones(pairs.cos.shape, dtype=np.bool_)
     for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
@@ -230,14 +230,14 @@ class Encounters:
         return relate(ego, self.boxes.part(slice(1, None), every))
 
     @cached_property
-    def same_lane(self) -> npt.NDArray[np.bool_]:
+    def same_lane(self) -> BoolArray:
         # True where the centres of the ego and an NPC are in the same lane.
         lane = self.road.column(LANE)
-        is_same: npt.NDArray[np.bool_] = lane[1:] == lane[:1]
+        is_same: BoolArray = lane[1:] == lane[:1]
         return is_same & (lane[:1] >= 0) & self.road.is_on_way
 
     @cached_property
-    def ego_follows(self) -> npt.NDArray[np.bool_]:
+    def ego_follows(self) -> BoolArray:
         # True where an NPC's centre is level with the ego's centre or ahead of it.
         return self.road.ahead >= 0
 
@@ -382,13 +382,13 @@ def planned_duration(trace: Trace) -> float:
     return seconds
 
 
-def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+def stretches(holds: BoolArray) -> list[tuple[int, int]]:
     """Return the intervals in which a condition is true, each as its first tick and the tick after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def last_stretch(holds: npt.NDArray[np.bool_]) -> int:
+def last_stretch(holds: BoolArray) -> int:
     """Return the first tick of the last interval in which a condition is true."""
     fails = np.flatnonzero(~holds[:-1])
     if fails.size:

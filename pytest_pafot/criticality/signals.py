@@ -350,7 +350,8 @@ class Signals:
             )
         if npc is None:
             return values
-        return values[npc]
+        row: FloatArray = values[npc]
+        return row
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
         # Yields the name and the values of each measure, with `npcs[0].ttc` and so on for a measure of each NPC.

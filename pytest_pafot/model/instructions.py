@@ -274,6 +274,12 @@ class ScenarioError(FieldError):
     """An error for a scenario that breaks a rule."""
 
 
+def set_fields(frozen: object, **values: Any) -> None:
+    """Set fields of a frozen dataclass, which is allowed only in its ``__post_init__``."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
 class Choices(NamedTuple):
     """The range of target speeds in a search, in tenths of m/s."""
 
@@ -438,9 +444,8 @@ class TimedInstruction(Instruction):
     text: str
 
     def _prepare(self, target: int | str, number: int) -> None:
-        object.__setattr__(self, "target", target)
-        object.__setattr__(self, "code", CODES_PER_TARGET * number + self.speed)
-        object.__setattr__(self, "text", encoded(self.plain()))
+        set_fields(self, target=target, code=CODES_PER_TARGET * number + self.speed)
+        set_fields(self, text=encoded(self.plain()))  # needs the target
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A cached constructor call, because runs travel between processes with dozens of equal genes.
@@ -534,8 +539,8 @@ class PositionInstruction(TimedInstruction):
                     "a whole number from 1 (front-left) to 8 (left), clockwise around the ego"
                 )
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
-            object.__setattr__(self, "cell", Cell(number))
-        object.__setattr__(self, "speed", checked_speed(self.speed))
+            set_fields(self, cell=Cell(number))
+        set_fields(self, speed=checked_speed(self.speed))
         self._prepare(int(self.cell), int(self.cell))
 
     @property
@@ -588,8 +593,7 @@ class LaneInstruction(TimedInstruction):
                 expected=f"one of {', '.join(SHIFTS)}",
                 received=repr(self.lane),
             )
-        object.__setattr__(self, "lane", str(self.lane))
-        object.__setattr__(self, "speed", checked_speed(self.speed))
+        set_fields(self, lane=str(self.lane), speed=checked_speed(self.speed))
         self._prepare(self.lane, 9 + SHIFTS.index(self.lane))
 
     @property
@@ -739,10 +743,13 @@ class CrossingInstruction(Instruction):
                 expected=f"one of {', '.join(ACTS)}",
                 received=f"{self.act!r:.100}",
             )
-        object.__setattr__(self, "zone", str(self.zone))
-        object.__setattr__(self, "act", str(self.act))
-        object.__setattr__(self, "slot", _checked_slot(self.slot))
-        object.__setattr__(self, "speed", checked_speed(self.speed, least_steps=1))
+        set_fields(
+            self,
+            zone=str(self.zone),
+            slot=_checked_slot(self.slot),
+            speed=checked_speed(self.speed, least_steps=1),
+            act=str(self.act),
+        )
         if self.speed <= 0:
             raise ScenarioError(
                 field="speed",

@@ -24,6 +24,7 @@ from pytest_pafot.model.instructions import (
     instruction_of,
     is_adjacent,
     repair_chains,
+    set_fields,
 )
 from pytest_pafot.model.vehicle_type import (
     CAR,
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
 
 # The chain of one NPC: its instructions in the order in which it executes them.
 Chromosome = tuple[Instruction, ...]
+# The chains of all NPCs.
+Chains = Sequence[Sequence[Instruction]]
 
 
 class _Hashed(Pasteable):
@@ -97,7 +100,7 @@ class Scenario(_Hashed):
     if TYPE_CHECKING:  # the arguments have wider types than the fields
 
         def __init__(
-            self, *, npcs: Sequence[Sequence[Instruction]], seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
+            self, *, npcs: Chains, seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
             gene_seconds: float = 10.0, traffic: Style = PAPERS, vehicles: Sequence[VehicleType | VehicleName] = (),
         ) -> None: ...  # fmt: skip
 
@@ -130,18 +133,17 @@ class Scenario(_Hashed):
                 expected=expected,
                 received=f"{self.traffic!r:.100}",
             )
-        checked = {
-            "npcs": npcs,
-            "seed": seed,
-            "ego_lane": ego_lane,
+        set_fields(
+            self,
+            npcs=npcs,
+            seed=seed,
+            ego_lane=ego_lane,
             # -0.0 becomes 0.0, so that equal scenarios have equal texts
-            "ego_speed": ego_speed + 0.0,
-            "gene_seconds": gene_seconds,
-            "traffic": str(self.traffic),
-            "vehicles": vehicles,
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+            ego_speed=ego_speed + 0.0,
+            gene_seconds=gene_seconds,
+            traffic=str(self.traffic),
+            vehicles=vehicles,
+        )
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(npcs)
             _check_distinct(npcs)
@@ -149,7 +151,7 @@ class Scenario(_Hashed):
     @classmethod
     def repaired(
         cls,
-        npcs: Sequence[Sequence[Instruction]],
+        npcs: Chains,
         *,
         seed: int = 0,
         ego_lane: int = EGO_LANE,
@@ -174,8 +176,7 @@ class Scenario(_Hashed):
     def trusted(cls, **fields: Any) -> Scenario:
         # Without checks, for a search in which children consist of checked genes.
         scenario = object.__new__(cls)
-        for name, value in fields.items():
-            object.__setattr__(scenario, name, value)
+        set_fields(scenario, **fields)
         return scenario
 
     def __hash__(self) -> int:
@@ -184,7 +185,7 @@ class Scenario(_Hashed):
             return self._hash
         except AttributeError:
             speeds = [gene.speed for chain in self.npcs for gene in chain]
-            object.__setattr__(self, "_hash", hash((self.seed, *speeds)))
+            set_fields(self, _hash=hash((self.seed, *speeds)))
             return self._hash
 
     @property
@@ -258,7 +259,7 @@ class Scenario(_Hashed):
 
     def rechained(
         self,
-        npcs: Sequence[Sequence[Instruction]],
+        npcs: Chains,
         gene_seconds: float | None = None,
     ) -> Scenario:
         chains = repaired_chains(_checked_chains(npcs), self.seed)
@@ -396,7 +397,7 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     return without_last_cars(found)
 
 
-def repaired_chains(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:
+def repaired_chains(npcs: Chains, seed: int) -> tuple[Chromosome, ...]:
     """Return chains with valid cells. Valid chains are unchanged."""
     # Random choices of the repair depend only on the seed, the NPC and the gene.
     chains = tuple(map(tuple, npcs))
@@ -407,7 +408,7 @@ def repaired_chains(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[C
 
 
 def positions_of(
-    npcs: Sequence[Sequence[Instruction]],
+    npcs: Chains,
 ) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Return the chains of ``PositionInstruction``."""
     return cast(
@@ -416,9 +417,7 @@ def positions_of(
     )
 
 
-def on_grid(
-    npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]
-) -> list[Sequence[Cell]]:
+def on_grid(npcs: Chains, rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
     """Return a row of cells for each NPC, empty for NPCs that are not on the grid."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]

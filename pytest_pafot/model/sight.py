@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pytest_pafot.model.instructions import set_fields
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
@@ -44,11 +45,14 @@ class Sight:
             deviation = float(_number(f"noise.{key}", value, NOISES[key]))
             if deviation:
                 noise[key] = deviation
-        object.__setattr__(self, "noise", noise)
-        object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
-        object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
+        set_fields(
+            self,
+            noise=noise,
+            latency=_number("latency", self.latency, "s"),
+            dropout=_number("dropout", self.dropout, "", 1.0),
+        )
         if self.range is not None:
-            object.__setattr__(self, "range", _number("range", self.range, "m"))
+            set_fields(self, range=_number("range", self.range, "m"))
 
     @property
     def imperfections(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 Side = Literal["front", "rear", "left", "right"]
 
@@ -196,7 +197,7 @@ class RoadOfRun:
         return self._states[..., HEADING] - self._lanes[0].heading
 
     @cached_property
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
+    def is_on_way(self) -> BoolArray:
         # An NPC that crosses is on the ego's path only after it has merged.
         return np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
 
@@ -350,7 +351,7 @@ class BentRoadOfRun(RoadOfRun):
         return self._track[..., ANGLE]
 
     @cached_property
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
+    def is_on_way(self) -> BoolArray:
         # A user's world can also record NaN for a vehicle. The distances to it must stay NaN, so it counts as on the
         # ego's path.
         return ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
