@@ -294,7 +294,10 @@ def ttc(trace: Trace) -> FloatArray:
 
 def min_ttc(trace: Trace) -> float:
     """Return the smallest :func:`ttc` [s] of the run."""
-    return _extremes(trace)[0]
+    swept = _swept(trace)
+    if swept is None:
+        return _lowest(ttc(trace))
+    return swept[0]
 
 
 def centre_distance(trace: Trace) -> FloatArray:
@@ -316,7 +319,10 @@ def gap(trace: Trace) -> FloatArray:
 
 def min_gap(trace: Trace) -> float:
     """Return the smallest :func:`gap` [m] of the run."""
-    return _extremes(trace)[1]
+    swept = _swept(trace)
+    if swept is None:
+        return _lowest(gap(trace))
+    return swept[1]
 
 
 def safety_distance(trace: Trace) -> FloatArray:
@@ -351,22 +357,21 @@ def safety_shortfall(trace: Trace) -> FloatArray:
 
 def max_safety_shortfall(trace: Trace) -> float:
     """Return the largest missing fraction of the safety distance, from 0 to 1 (contact)."""
-    return _extremes(trace)[2]
+    swept = _swept(trace)
+    if swept is None:
+        return float(safety_shortfall(trace).max(initial=0.0))
+    return swept[2]
 
 
 @lru_cache(maxsize=1)
-def _extremes(trace: Trace) -> tuple[float, float, float]:
-    # The smallest ttc and gap, and the largest safety shortfall. They are computed together and cached, because the
-    # default fitness needs all of them. The compiled pass requires a road with a single direction.
+def _swept(trace: Trace) -> tuple[float, float, float] | None:
+    # The three extremes are computed together and cached, because the default fitness needs all of them. The compiled
+    # pass requires a road with a single direction.
     heading = trace.road.heading
-    swept = None
-    if _SWEEPS and heading is not None:
-        direction = math.cos(heading), math.sin(heading)
-        swept = sweep.extremes(trace.states, trace.sizes, direction, MANOEUVRE_SECONDS)
-    if swept is not None:
-        return swept
-    shortfall = float(safety_shortfall(trace).max(initial=0.0))
-    return _lowest(ttc(trace)), _lowest(gap(trace)), shortfall
+    if not _SWEEPS or heading is None:
+        return None
+    direction = math.cos(heading), math.sin(heading)
+    return sweep.extremes(trace.states, trace.sizes, direction, MANOEUVRE_SECONDS)
 
 
 def hardest_brake(trace: Trace) -> float:
