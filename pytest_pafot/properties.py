@@ -102,9 +102,11 @@ def comfort(
     ego = run.ego
     hz = run.trace.physics_hz
     if jerk is not None:
-        check(abs(_change(ego.acceleration, 1.0, hz)), name="jerk", at_most=jerk, unit="m/s^3")
+        mean = _change(ego.acceleration, 1.0, hz)
+        check(abs(mean), name="jerk", at_most=jerk, unit="m/s^3")
     if braking is not None:
-        check(-_change(ego.speed, 2.0, hz), name="braking", at_most=braking, unit="m/s^2")
+        mean = _change(ego.speed, 2.0, hz)
+        check(-mean, name="braking", at_most=braking, unit="m/s^2")
     if lateral_acceleration is not None:
         mean = _change(np.cumsum(ego.lateral_acceleration) / hz, 0.5, hz)
         check(abs(mean), name="lateral acceleration", at_most=lateral_acceleration, unit="m/s^2")
@@ -124,7 +126,8 @@ def stays_on_road(run: Run) -> None:
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:
     # The mean change per second, in the seconds before each tick. Before its first tick, the signal is constant.
     ticks = round(seconds * hz)
-    before = np.concatenate((np.full(ticks, values[0]), values))[: len(values)]
+    constant = np.full(ticks, values[0])
+    before = np.concatenate((constant, values))[: len(values)]
     # ticks / hz and not seconds, since half a second is not a whole number of ticks at 15 Hz
     change: FloatArray = (values - before) / (ticks / hz)
     return change

@@ -171,7 +171,8 @@ def has_interaction(trace: Trace) -> bool:
         ahead = along + (road.y[1:] - road.y[0]) * np.sin(heading)
     else:
         ahead = road.ahead
-    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
+    lengths = trace.sizes[:, :1]
+    gap = np.abs(ahead) - (lengths[0] + lengths[1:]) / 2
     follower = np.where(ahead >= 0, speed[0], speed[1:])
     is_near = gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
     if ((lane[1:] == lane[0]) & is_near).any():

@@ -41,17 +41,15 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     in_a = int(rng.integers(len(a.npcs)))
     in_b = int(rng.integers(len(b.npcs)))
     # If both NPCs cross in the same zone, each of their slots, speeds and acts is swapped at random instead.
+    vehicle_a = a.vehicle_of(in_a)
+    vehicle_b = b.vehicle_of(in_b)
     children = a.npcs[in_a][0].mixed(b.npcs[in_b][0], rng)
     if children is not None:
-        first, second = children
-        return (
-            _with_npc(a, in_a, (first,), a.vehicle_of(in_a), rng),
-            _with_npc(b, in_b, (second,), b.vehicle_of(in_b), rng),
-        )
-    return (
-        _with_npc(a, in_a, _fit_genes(b, in_b, a), b.vehicle_of(in_b), rng),
-        _with_npc(b, in_b, _fit_genes(a, in_a, b), a.vehicle_of(in_a), rng),
-    )
+        one, other = children
+        first = _with_npc(a, in_a, (one,), vehicle_a, rng)
+        return first, _with_npc(b, in_b, (other,), vehicle_b, rng)
+    first = _with_npc(a, in_a, _fit_genes(b, in_b, a), vehicle_b, rng)
+    return first, _with_npc(b, in_b, _fit_genes(a, in_a, b), vehicle_a, rng)
 
 
 def _with_npc(
@@ -116,16 +114,18 @@ def _mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         npc = int(rng.integers(len(scenario.npcs)))
         others = [vehicle for vehicle in space.vehicles if vehicle != scenario.vehicle_of(npc)]
         return scenario.with_vehicle(npc, pick(others, rng))
-    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
+    npcs = scenario.npcs
+    numbers = [npc for npc, chain in enumerate(npcs) if not chain[0].crosses]
     crossing = space.crossing_traffic
     # All NPCs are mutated equally often, whether they cross or not.
-    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers):
+    if crossing is not None and rng.random() * len(npcs) >= len(numbers):
         return _with_new_crossing(scenario, crossing, rng)
-    if draw < starts + sizes + vehicles + PATTERNS and space.patterns and scenario.positions:
+    patterns = starts + sizes + vehicles + PATTERNS
+    if draw < patterns and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
-    places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
+    places = [(npc, gene) for npc in numbers for gene in range(len(npcs[npc]))]
     npc, gene = pick(places, rng)
-    chain = scenario.npcs[npc]
+    chain = npcs[npc]
     new = chain[gene]
     # Only the new cell is repaired. Repairing the genes after it would rewrite the rest of the chain, and lose what the
     # parent was selected for.
@@ -133,7 +133,8 @@ def _mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         new = chain[gene].varied(space.choices, rng)
         if new.on_grid:
             new = _fit_cell(scenario, npc, gene, new, bool(rng.integers(2)))
-    return _child(scenario, npc, (*chain[:gene], new, *chain[gene + 1 :]), rng)
+    changed = (*chain[:gene], new, *chain[gene + 1 :])
+    return _child(scenario, npc, changed, rng)
 
 
 def _with_new_crossing(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -153,7 +154,8 @@ def _with_new_start(scenario: Scenario, space: SearchSpace, rng: Generator) -> S
     lane = pick(roomy or lanes, rng)
     # If no other lane has room for all NPCs and the speed is fixed, the last NPCs are omitted.
     kept = npcs[: space.most_on(lane)]
-    return replace(scenario, ego_lane=lane, npcs=kept, vehicles=scenario.vehicles[: len(kept)])
+    vehicles = scenario.vehicles[: len(kept)]
+    return replace(scenario, ego_lane=lane, npcs=kept, vehicles=vehicles)
 
 
 def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -164,7 +166,8 @@ def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sc
         seconds = pick(durations, rng)
         genes = space.genes_of(seconds)
         chains = [retimed(chain, scenario.gene_seconds, seconds)[:genes] for chain in npcs]
-        return repaired(chains, fresh_seed(rng), replace(scenario, gene_seconds=seconds))
+        start = replace(scenario, gene_seconds=seconds)
+        return repaired(chains, fresh_seed(rng), start)
     if len(npcs) > 1 and (len(npcs) >= most or rng.integers(2)):
         gone = int(rng.integers(len(npcs)))
         return scenario.of_npcs(npc for npc in range(len(npcs)) if npc != gone)
@@ -183,11 +186,13 @@ def _with_new_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sc
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    npc = pick([npc for npc, chain in enumerate(scenario.npcs) if chain[0].on_grid], rng)
+    numbers = [npc for npc, chain in enumerate(scenario.npcs) if chain[0].on_grid]
+    npc = pick(numbers, rng)
     chain: Any = scenario.npcs[npc]
     before = chain[: int(rng.integers(len(chain)))]
     new = followed_by_pattern(before, scenario.ego_speed, space.choices, rng)
-    return _child(scenario, npc, (*new, *chain[len(new) :])[: len(chain)], rng)
+    changed = (*new, *chain[len(new) :])
+    return _child(scenario, npc, changed[: len(chain)], rng)
 
 
 def _fit_cell(
@@ -199,12 +204,14 @@ def _fit_cell(
 ) -> Instruction:
     """Return ``new`` with a cell that fits the chain and that no other NPC occupies."""
     chain = scenario.npcs[npc]
-    around = [chain[k].cell for k in (gene - 1, gene + 1) if 0 <= k < len(chain)]
+    nearby = (gene - 1, gene + 1)
+    around = [chain[k].cell for k in nearby if 0 <= k < len(chain)]
     held = set()
     for index, other in enumerate(scenario.npcs):
         if index != npc and gene < len(other) and other[gene].on_grid:
             held.add(other[gene].cell)
-    neighbours = list((around or [new.cell])[0].neighbours)
+    before, *_ = around or [new.cell]
+    neighbours = list(before.neighbours)
     if clockwise_first:
         neighbours.reverse()
     # The first cell that fits is used: the new cell, the neighbours of the previous cell in random order (for the first

@@ -337,7 +337,9 @@ class Conflict:
         self._end = trace.ticks
         self._hz = trace.physics_hz
         self._ahead = frame.ahead[npc]  # of the NPC, from the ego
-        self._gaps = np.abs(self._ahead) - frame.half_along[0] - frame.half_along[npc + 1]
+        ego_half = frame.half_along[0]
+        npc_half = frame.half_along[npc + 1]
+        self._gaps = np.abs(self._ahead) - ego_half - npc_half
         # from here to the impact they were in the same track
         self._met = last_stretch(frame.gap_across[:, npc] <= 0)
         safe = frame.safe_along(DISTANCES)[:, npc]
@@ -367,16 +369,21 @@ class Conflict:
     def _moved_in(self, vehicle: int) -> int:
         # The last tick at which the vehicle's box crossed the line of the other's lane, or -1.
         other = self._npc - vehicle
-        tracks = self._trace.road.track
+        track = self._trace.road.track
         lanes = self._trace.states[:, other, LANE].astype(int)
-        widths = np.array([lane.width for lane in self._trace.lanes])[np.maximum(lanes, 0)]
-        centre = tracks[:, other, ACROSS] - tracks[:, other, OFFSET]
-        away = tracks[:, vehicle, ACROSS] - centre
-        is_over = np.abs(away) - self._frame.half_across[vehicle] < widths / 2
-        comes = -np.sign(away) * self._frame.drift[vehicle] >= DRIFTING
+        widths = np.array([lane.width for lane in self._trace.lanes])
+        width = widths[np.maximum(lanes, 0)]
+        across = track[:, :, ACROSS]
+        centre = across[:, other] - track[:, other, OFFSET]
+        away = across[:, vehicle] - centre
+        reach = np.abs(away) - self._frame.half_across[vehicle]
+        is_over = reach < width / 2
+        towards = -np.sign(away) * self._frame.drift[vehicle]
+        comes = towards >= DRIFTING
         enters = is_over[1:] & ~is_over[:-1] & comes[1:]
         # The other must stay in its lane, since otherwise the lines move and the vehicle does not.
-        ticks = np.flatnonzero(enters & (lanes[1:] == lanes[:-1])) + 1
+        stays = lanes[1:] == lanes[:-1]
+        ticks = np.flatnonzero(enters & stays) + 1
         if ticks.size and ticks[-1] >= self._met - RECENT * self._hz:
             return int(ticks[-1])
         return -1
@@ -421,8 +428,10 @@ class Conflict:
             if gap > 0 and not has_slowed and self._end - tick >= DELAY_AFTER_CUT_IN * self._hz:
                 return moved._replace(responsibility="both")
             return moved
-        is_pushed = not self._has_room(self._npc, tick) and self._end - tick <= SOON * self._hz
-        return moved._replace(responsibility="both" if is_pushed else "ego")
+        is_soon = self._end - tick <= SOON * self._hz
+        if is_soon and not self._has_room(self._npc, tick):
+            return moved._replace(responsibility="both")
+        return moved._replace(responsibility="ego")
 
     def _came_together(self) -> Ruling:
         # Rule 5. Drifts are positive towards the other vehicle.
@@ -470,12 +479,15 @@ class Conflict:
         step = HARDEST / self._hz
         for tick in range(first, end):
             back += np.where(tick >= starts, own[tick] - speed, 0.0)
-            braked = np.where(speed > other[tick], np.maximum(speed - step, 0.0), speed)
-            driven = np.where(tick < starts, own[tick + 1], np.minimum(speed, own[tick + 1]))
+            slower = np.maximum(speed - step, 0.0)
+            braked = np.where(speed > other[tick], slower, speed)
+            recorded = own[tick + 1]
+            driven = np.where(tick < starts, recorded, np.minimum(speed, recorded))
             speed = np.where(tick + 1 >= due, braked, driven)
         # At the impact, it must be farther back than the distance that it still needs to lose its excess speed.
         excess = np.maximum(speed - other[end], 0.0)
-        return bool((back / self._hz > excess**2 / (2 * HARDEST)).any())
+        needed = excess**2 / (2 * HARDEST)
+        return bool((back / self._hz > needed).any())
 
     def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
         # The first tick of each hard braking, and the first tick after it, relative to `first`.
@@ -541,9 +553,12 @@ def _has_traffic(trace: Trace, ticks: slice) -> BoolArray:
     others = frame.speed[1:, ticks]
     ahead = frame.ahead[:, ticks]
     right = frame.right[:, ticks]
-    along = np.abs(ahead) - frame.half_along[0, ticks] - frame.half_along[1:, ticks]
-    across = np.abs(right) - frame.half_across[0, ticks] - frame.half_across[1:, ticks]
-    slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
+    half_along = frame.half_along[:, ticks]
+    half_across = frame.half_across[:, ticks]
+    along = np.abs(ahead) - half_along[0] - half_along[1:]
+    across = np.abs(right) - half_across[0] - half_across[1:]
+    gained = np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])
+    slowed = -gained[:, ticks] * trace.physics_hz
     # A vehicle in the same track is too close by RSS, near a collision, or near and brakes hard.
     is_near = along <= NEAR_SECONDS * speed
     safe = frame.safe_along(DISTANCES).T[:, ticks]
@@ -552,8 +567,10 @@ def _has_traffic(trace: Trace, ticks: slice) -> BoolArray:
     is_close |= is_near & (slowed > HARD)
     # A near vehicle moves in from the next lane.
     lane = _lane_of_ego(trace, ticks)
-    towards = np.sign(right) * (frame.drift[0, ticks] - frame.drift[1:, ticks]) >= DRIFTING
-    comes = (across > 0) & (across < lane.width) & towards & is_near
+    drift = frame.drift[:, ticks]
+    towards = np.sign(right) * (drift[0] - drift[1:])
+    is_in_next_lane = (across > 0) & (across < lane.width)
+    comes = is_in_next_lane & (towards >= DRIFTING) & is_near
     is_reason = ((across <= 0) & is_close) | comes
     is_reason &= (ahead > 0) | (along <= 0)
     return np.asarray(is_reason.any(axis=0))
@@ -565,8 +582,10 @@ def _has_crossing(trace: Trace, ticks: slice) -> BoolArray:
 
     def nears(vehicle: int, places: FloatArray, stretch: Stretch) -> BoolArray:
         enters, leaves = stretch
-        before = np.maximum(NEAR_SECONDS * trace.states[ticks, vehicle, SPEED], STANDSTILL_GAP)
-        return np.asarray((places[ticks] < leaves) & (enters - places[ticks] <= before))
+        places = places[ticks]
+        speeds = trace.states[ticks, vehicle, SPEED]
+        before = np.maximum(NEAR_SECONDS * speeds, STANDSTILL_GAP)
+        return np.asarray((places < leaves) & (enters - places <= before))
 
     for npc, zone in enumerate(trace.zones):
         if zone is not None:
@@ -593,7 +612,8 @@ def _ends(trace: Trace, ticks: slice) -> BoolArray:
 
 def _lane_of_ego(trace: Trace, ticks: slice) -> Lane:
     # At the last of the ticks.
-    return trace.lanes[max(int(trace.states[ticks.stop - 1, 0, LANE]), 0)]
+    lane = int(trace.ego[ticks.stop - 1, LANE])
+    return trace.lanes[max(lane, 0)]
 
 
 # Rule 1, right of way at junctions. Sources: Shalev-Shwartz, Shammah, Shashua, definitions 15 to 18, as implemented in
@@ -695,9 +715,10 @@ class Passing:
         if out.size:
             return float((self.entry + out[0]) / self._hz)
         speed = float(self.speeds[-1])
-        if speed > 0:
-            return (len(self.places) - 1) / self._hz + float(self.ends - self.places[-1]) / speed
-        return math.inf
+        if not speed > 0:
+            return math.inf
+        left = float(self.ends - self.places[-1])
+        return (len(self.places) - 1) / self._hz + left / speed
 
     def did_not_give_way(self, other: Passing) -> bool:
         """Return whether the vehicle could have foreseen that it should stop for the other one."""
@@ -712,7 +733,8 @@ class Passing:
         if not self._merges:
             needed = faster * DELAY + faster**2 / (2 * GENTLY)
             return other.begins - place < needed and place < other.ends
-        lead = float((other.ends - place) - (self.ends - self.places[self.entry]))
+        left = other.ends - place
+        lead = float(left - (self.ends - self.places[self.entry]))
         gap = abs(lead) - self.half_length - other.half_length
         own = self.speeds[self.entry]
         if lead >= 0:
@@ -724,21 +746,25 @@ class Passing:
         # Merging: could it still slow down to the speed of the other, which had merged ahead of it?
         if self._merges:
             ticks = np.arange(other.entry, self.entry)
-            lead = self.ends - self.places[ticks] - (other.ends - other.places[ticks])
+            left = other.ends - other.places[ticks]
+            lead = self.ends - self.places[ticks] - left
             gap = lead - self.half_length - other.half_length
-            lowest = np.minimum.accumulate(other.speeds[::-1])[::-1][ticks]
-            faster = np.maximum(self.speeds[ticks] - lowest, 0.0)
+            # the lowest speed of the other from each tick on
+            lowest = np.minimum.accumulate(other.speeds[::-1])[::-1]
+            faster = np.maximum(self.speeds[ticks] - lowest[ticks], 0.0)
             room = faster * DELAY + faster**2 / (2 * HARDEST)
             return bool(((lead > 0) & (gap >= room)).any())
         # Crossing: could it still stop before it touched the other at its final position?
-        touches = overlaps(relate(self._boxes(slice(None)), other._boxes(slice(-1, None))))
-        touched = last_stretch(touches)
+        boxes = self._boxes(slice(None))
+        final = other._boxes(slice(-1, None))
+        touched = last_stretch(overlaps(relate(boxes, final)))
         tick = self._stops(touched, float(self.places[touched]))
         if tick < other.entry:
             return False
         return other._foreseen(tick, max(self.entry, tick) / self._hz) < other.ends
 
     def _boxes(self, ticks: slice) -> Boxes:
-        poses = self._trace.states[ticks, self.vehicle]
+        states = self._trace.states[ticks, self.vehicle]
+        poses = states[:, [X, Y, HEADING, SPEED]].T
         sizes = self._trace.sizes[self.vehicle, :, None]
-        return Boxes.driving(*poses[:, [X, Y, HEADING, SPEED]].T, *sizes)
+        return Boxes.driving(*poses, *sizes)

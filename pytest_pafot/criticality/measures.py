@@ -119,9 +119,8 @@ def overlaps(pairs: Pairs) -> BoolArray:
 
 def depth(pairs: Pairs) -> FloatArray:
     """Return the smallest overlap [m] on any axis, negative if the boxes are apart."""
-    spare = [
-        reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)
-    ]
+    pairs_of_axes = zip(pairs.offsets, pairs.reaches, strict=True)
+    spare = [reach - np.abs(offset) for offset, reach in pairs_of_axes]
     result: FloatArray = np.min(spare, axis=0)
     return result
 
@@ -136,7 +135,8 @@ def box_gap(pairs: Pairs) -> FloatArray:
     # As seen from b, the offset has the opposite sign. That mirrors the set of a's corners in b's centre, which does
     # not change their distances from b's box, so the sign can stay.
     from_a = _corners_to_box(back_along, back_across, pairs.cos, -pairs.sin, b, a)
-    return np.where(overlaps(pairs), 0.0, np.sqrt(np.minimum(from_a, from_b)))
+    apart = np.sqrt(np.minimum(from_a, from_b))
+    return np.where(overlaps(pairs), 0.0, apart)
 
 
 def contact_time(pairs: Pairs) -> FloatArray:
@@ -186,8 +186,10 @@ def _corners_to_box(
     width_v = other.half_width * cos
     nearest: FloatArray = np.full(u.shape, np.inf)
     for move, side in product((np.add, np.subtract), repeat=2):
-        outside_u = np.maximum(np.abs(side(move(u, length_u), width_u)) - box.half_length, 0.0)
-        outside_v = np.maximum(np.abs(side(move(v, length_v), width_v)) - box.half_width, 0.0)
+        corner_u = side(move(u, length_u), width_u)
+        corner_v = side(move(v, length_v), width_v)
+        outside_u = np.maximum(np.abs(corner_u) - box.half_length, 0.0)
+        outside_v = np.maximum(np.abs(corner_v) - box.half_width, 0.0)
         nearest = np.minimum(nearest, outside_u * outside_u + outside_v * outside_v)
     return nearest
 
@@ -389,7 +391,8 @@ def planned_duration(trace: Trace) -> float:
 
 def stretches(holds: BoolArray) -> list[tuple[int, int]]:
     """Return the intervals in which a condition is true, each as its first tick and the tick after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
+    padded = np.concatenate(([False], holds, [False]))
+    edges = np.flatnonzero(np.diff(padded)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
@@ -479,9 +482,10 @@ class RoadFrame:
             road_cos = road_cos[:, :-1]
             road_sin = road_sin[:, :-1]
         right = np.diff(road.y) * road_cos - np.diff(road.x) * road_sin
-        self.drift[0, 1:] = right[0] * trace.physics_hz
+        drift = right * trace.physics_hz
+        self.drift[0, 1:] = drift[0]
         was_and_is = self.is_on_way[:, :-1] & self.is_on_way[:, 1:]
-        np.copyto(self.drift[1:, 1:], right[1:] * trace.physics_hz, where=was_and_is)
+        np.copyto(self.drift[1:, 1:], drift[1:], where=was_and_is)
         # Half of the extents of each box [m].
         cos = np.abs(self.cos)
         sin = np.abs(self.sin)
@@ -495,18 +499,22 @@ class RoadFrame:
     @property
     def gap_along(self) -> FloatArray:
         """The gap [m] between the boxes along the road."""
-        return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
+        gap = np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:]
+        return np.maximum(gap, 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
         # At 0, the vehicle behind would hit the vehicle ahead if it drove straight on.
-        return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
+        gap = np.abs(self.right) - self.half_across[:1] - self.half_across[1:]
+        return np.maximum(gap, 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
         # The smallest `gap_along` [m] that is safe according to RSS.
         ego_follows = self.ahead >= 0
-        follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
-        leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
+        ego = self.speed[:1]
+        npcs = self.speed[1:]
+        follower = np.where(ego_follows, ego, npcs)
+        leader = np.where(ego_follows, npcs, ego)
         response = np.where(ego_follows, rules.ego_response, rules.npc_response)
         return rules.safe_along(follower, leader, response).T
 
@@ -515,8 +523,10 @@ class RoadFrame:
         # move sideways. A vehicle that still moves away after its response time increases the gap while it brakes, so
         # its stopping distance is subtracted. The published formula, which assumes vehicles that come closer, adds it.
         towards_npc = np.where(self.right >= 0, 1.0, -1.0)
-        ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
-        npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
+        ego_drift = towards_npc * self.drift[:1]
+        npc_drift = -towards_npc * self.drift[1:]
+        ego_way = _sideways(ego_drift, rules.ego_response, rules)
+        npc_way = _sideways(npc_drift, rules.npc_response, rules)
         return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
 
 

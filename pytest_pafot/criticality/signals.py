@@ -56,7 +56,8 @@ def passages(trace: Trace) -> tuple[Passage | None, ...]:
     # A user's world may record zones without the positions of the vehicles on their paths.
     if not trace.zones or not _has_positions(trace):
         return (None,) * len(trace.npcs[0])
-    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones))
+    found = [_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones)]
+    return tuple(found)
 
 
 def time_advantage(trace: Trace) -> FloatArray:
@@ -64,7 +65,7 @@ def time_advantage(trace: Trace) -> FloatArray:
 
     It is infinite if either would never reach the zone, or if the NPC does not cross the ego's path.
     """
-    advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
+    advantage = np.full(trace.npcs.shape[:2], np.inf)
     for npc, zone in enumerate(trace.zones):
         if zone is None:
             continue
@@ -79,7 +80,8 @@ def time_advantage(trace: Trace) -> FloatArray:
             gap = np.maximum(npc_enters - ego_leaves, ego_enters - npc_leaves)
         # If both would be in the zone together, the advantage is 0.
         is_alone = np.isposinf(ego_enters) | np.isposinf(npc_enters)
-        advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
+        gap = np.maximum(gap, 0.0)
+        advantage[:, npc] = np.where(is_alone, np.inf, gap)
     return advantage
 
 
@@ -157,8 +159,9 @@ class Measure:
         """Return the run's worst value of the measure as a fitness between -1 and 1."""
         # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
         # values are worse cannot be a fitness.
-        sign = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse]
-        worst = float(sign(self.function(trace)).max(initial=-np.inf))
+        signs = {"low": np.negative, "high": np.positive, "both": np.abs}
+        risk = signs[self.worse](self.function(trace))
+        worst = float(risk.max(initial=-np.inf))
         if math.isinf(worst):
             return math.copysign(1.0, worst)
         return worst / (1 + abs(worst))
@@ -170,7 +173,8 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
     ahead = encounters.road.ahead
     is_leading = encounters.same_lane & ~(ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
-    distances = np.vstack((nobody, np.where(is_leading, ahead, np.inf)))
+    leading = np.where(is_leading, ahead, np.inf)
+    distances = np.vstack((nobody, leading))
     nearest: npt.NDArray[np.intp] = distances.argmin(axis=0)
     return nearest - 1
 
@@ -181,7 +185,8 @@ def headway(trace: Trace) -> FloatArray:
     speed = trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
     seconds = np.full(len(ahead), np.inf)  # without a leader, or while the ego is stationary
-    seconds[moves] = longitudinal_gap(trace)[moves, ahead[moves]] / speed[moves]
+    gaps = longitudinal_gap(trace)[moves, ahead[moves]]
+    seconds[moves] = gaps / speed[moves]
     return seconds
 
 

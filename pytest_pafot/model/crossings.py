@@ -142,17 +142,20 @@ class Way:
         times = self.times(speed)
         point = min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
         before = min(int(point), len(times) - 2)
-        return float(times[before] + (times[before + 1] - times[before]) * (point - before))
+        step = times[before + 1] - times[before]
+        return float(times[before] + step * (point - before))
 
     def speed_at(self, along: float) -> float:
-        return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
+        places = np.arange(len(self.speeds)) * STEP
+        return float(np.interp(along, places, self.speeds))
 
     def place_at(self, time: float, speed: float) -> float:
         # Before the entry, the NPC drives at the speed itself.
         if time < 0:
             return time * speed
         times = self.times(speed)
-        return float(np.interp(time, times, np.arange(len(times)) * STEP))
+        places = np.arange(len(times)) * STEP
+        return float(np.interp(time, times, places))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

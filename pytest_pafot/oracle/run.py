@@ -718,7 +718,8 @@ class Run:
             return None
         # of equal values, the first tick and NPC
         tick, npc = divmod(int(values.argmin()), values.shape[1])
-        cell = self.trace.road.last_cell(npc, tick, float(self.trace.sizes[0, 0]))
+        length = float(self.trace.sizes[0, 0])
+        cell = self.trace.road.last_cell(npc, tick, length)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def _headline(self) -> str:
@@ -858,7 +859,8 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
         times.append(time)
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     # Shorten the wording until the table fits.
-    for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
+    longest = {1: 0, 2: 1}.get(len(npcs), -1)
+    for wording in _WORDINGS[longest:]:
         rows = [
             [time, *(_gene(trace, npc, span, *wording) for npc in npcs)]
             for time, span in zip(times, spans, strict=True)
