@@ -132,7 +132,8 @@ class AvFuzzerSearch:
             # Members that were selected neither for crossover nor for mutation are not run again. That can be all
             # members.
             asked = self._vary(state, rng)
-        return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
+        scenarios = tuple(scenario for _, scenario in asked)
+        return replace(state, asked=asked, fresh=()), scenarios
 
     def tell(
         self,
@@ -197,14 +198,16 @@ class AvFuzzerSearch:
         selected: Population,
         rng: Generator,
     ) -> tuple[AvFuzzerState, Events]:
-        slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
+        weights = [_weight(member) for member in selected]
+        fitness = max(weights)
+        slot = weights.index(fitness)
         best = selected[slot]
-        fitness = _weight(best)
         generation = state.generation
         earlier = state.bests
         age = generation - state.restarted_at
         events: list[AlgorithmEvent] = []
-        if best.eligible and (state.global_best is None or fitness > _weight(state.global_best)):
+        beaten = state.global_best
+        if best.eligible and (beaten is None or fitness > _weight(beaten)):
             events.append(NewBest(generation=generation, local_generation=0, evaluation=best))
             state = replace(state, global_best=best)
         state = replace(state, population=selected, bests=(*earlier, fitness), slot=slot)
@@ -330,8 +333,10 @@ def farthest(
 def features(scenario: Scenario) -> FloatArray:
     """Return the numbers by which AV-Fuzzer compares scenarios, as an array of shape [NPCs, slices, 2]."""
     # Per slice: the speed, and -34 for a change to the left or 34 for a change to the right. Both are accumulated.
-    chains: Any = scenario.npcs
-    rows = [[(gene.speed, LANE_CHANGE * gene.column) for gene in chain] for chain in chains]
+    rows = []
+    for chain in scenario.npcs:
+        genes: Any = chain
+        rows.append([(gene.speed, LANE_CHANGE * gene.column) for gene in genes])
     return np.cumsum(np.array(rows, dtype=np.float64), axis=1)
 
 

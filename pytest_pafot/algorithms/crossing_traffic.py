@@ -80,7 +80,8 @@ class CrossingTraffic:
             if not rng.integers(2):
                 step = -step
             slot = instruction.slot + step / SLOT_STEPS_PER_SECOND
-            return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
+            slot = min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)
+            return replace(instruction, slot=_tenths(slot))
         if share < SLOT_CHANGE + SPEED_CHANGE:
             return replace(instruction, speed=self._speed(instruction.zone, rng))
         if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE:
@@ -154,14 +155,6 @@ class CrossingTraffic:
             return last
         return None
 
-    def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""
-        low, high = self._bounds(zone)
-        speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
-        return [
-            speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))
-        ]
-
     def _speed(self, zone: str, rng: Generator) -> float:
         low, high = self._bounds(zone)
         return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
@@ -170,9 +163,11 @@ class CrossingTraffic:
         """Return the limits on the target speed on a path, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
         # The speed of the fastest section before the exit of the zone limits the target speed.
-        allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
-        high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
-        return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high
+        points = math.ceil(way.zone.npc[1] / STEP) + 1
+        allowed = min(self.high, float(way.speeds[:points].max()))
+        high = math.floor(allowed * SPEED_STEPS_PER_MPS + 1e-6)
+        low = round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS)
+        return min(low, high), high
 
     def _act(self, rng: Generator) -> Act:
         if rng.random() < PASSES:

@@ -82,7 +82,8 @@ def paper(trace: Trace) -> float:
         return WORST_RANK
     # The paper has no bonus for a collision. The planned duration replaces an infinite METTC, and limits ET.
     # np.minimum propagates NaN, which min() would drop.
-    mettc = float(np.minimum(criticality.mettc(trace), criticality.planned_duration(trace)))
+    planned = criticality.planned_duration(trace)
+    mettc = float(np.minimum(criticality.mettc(trace), planned))
     distance = criticality.min_centre_distance(trace)
     safety = criticality.min_safety_distance(trace)
     return _never_nan(-(mettc + distance + safety + _time_to_collision(trace)))
@@ -120,8 +121,8 @@ def av_fuzzer(trace: Trace) -> float:
     right = frame.right[:, ticks]
     cos, sin = trace.road.direction
     heading = trace.ego[:, HEADING]
-    turned = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])
-    turns = turned[ticks] > math.sin(TURNING)
+    turned = np.sin(heading) * cos[0] - np.cos(heading) * sin[0]
+    turns = np.abs(turned)[ticks] > math.sin(TURNING)
     centres = criticality.centre_distance(trace)[ticks].T
     distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), centres)
     beside = np.abs(right) < BESIDE
@@ -135,7 +136,8 @@ def av_fuzzer(trace: Trace) -> float:
     least_distance = min(float(distance.min()), FAR)
     least_room = float(np.minimum(front, rear).min())
     # With a single NPC, the released code fails. Here, the divisor is then 1.
-    return (FAR - 0.5 * least_distance - 0.5 * least_room) / max(len(trace.scenario.npcs) - 1, 1)
+    divisor = max(len(trace.scenario.npcs) - 1, 1)
+    return (FAR - 0.5 * least_distance - 0.5 * least_room) / divisor
 
 
 # The names that `fitness=` accepts.

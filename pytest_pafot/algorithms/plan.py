@@ -315,8 +315,7 @@ class Plan:
     @property
     def generation(self) -> int:
         """The number of the current or next generation."""
-        number: int = self._state.generation
-        return number
+        return int(self._state.generation)
 
     @property
     def is_over(self) -> bool:

@@ -152,8 +152,8 @@ def followed_by_pattern(
     if chain:
         cells = _between(chain[-1].cell, steps[0].cell, rng)
         way = [Step(cell, *WALKING) for cell in cells]
-    genes = [_sample_gene(step, ego_speed, choices, rng) for step in (*way, *steps)]
-    return [*chain, *genes]
+    way += steps
+    return [*chain, *[_sample_gene(step, ego_speed, choices, rng) for step in way]]
 
 
 def _sample_gene(
@@ -178,7 +178,9 @@ def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
     """Return the cells between two cells on the shorter side of the ring."""
     clockwise = (last - first) % 8
     is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
-    steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)
+    steps = range(-1, clockwise - 8, -1)
+    if is_clockwise:
+        steps = range(1, clockwise)
     return [Cell((first - 1 + step) % 8 + 1) for step in steps]
 
 
@@ -436,7 +438,8 @@ class SearchSpace:
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
-        return Choices(math.ceil(low - 1e-6), math.floor(high + 1e-6)).any_speed(rng)
+        choices = Choices(math.ceil(low - 1e-6), math.floor(high + 1e-6))
+        return choices.any_speed(rng)
 
 
 def space_on(
@@ -467,7 +470,8 @@ def space_on(
     space = SearchSpace(**wanted, speed_limit=speed_limit)
     if "genes" in wanted:
         return space
-    return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
+    genes = math.ceil(longest_run / space.gene_seconds - 1e-9)
+    return replace(space, genes=max(1, genes))
 
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
@@ -504,18 +508,21 @@ def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[Positio
     first = rng.permutation(8)[:npcs, None]
     # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
     steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
-    walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
+    positions = np.cumsum(np.hstack([first, steps]), axis=1)
+    walks = (positions % 8 + 1).tolist()
     low, top = space.choices
     speeds = rng.integers(low, top + 1, size=(npcs, space.genes))
     return chains_of(PositionInstruction, walks, speeds.tolist())
 
 
 def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    count = max(int(rng.binomial(space.npcs, CROSSING)), space.npcs - space.most_on_grid)
-    on_cells: tuple[Chromosome, ...] = ()
+    count = int(rng.binomial(space.npcs, CROSSING))
+    count = max(count, space.npcs - space.most_on_grid)
+    chains: list[Chromosome] = []
     if count < space.npcs:
-        on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
-    chains = (*on_cells, *((crossing.sample(rng),) for _ in range(count)))
+        others = replace(space, crossings=None, npcs=space.npcs - count)
+        chains += sample(others, rng).npcs
+    chains += [(crossing.sample(rng),) for _ in range(count)]
     kept = crossing.without_conflicts(chains, rng)
     return repaired([*kept.values()], fresh_seed(rng), space)
 
@@ -523,7 +530,8 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions."""
     # no repair, so no seed
-    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
+    chains = random_lanes(space.choices, space.npcs, space.genes, rng)
+    return repaired(chains, 0, space)
 
 
 def repaired(

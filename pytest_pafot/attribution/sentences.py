@@ -253,9 +253,12 @@ def _entered(trace: Trace, npc: int) -> list[str]:
         return []
     where = "merge" if zone.kind == "merging" else "crossing"
     whom = vehicle_name(npc + 1)
-    own = last_stretch(trace.track_of(0)[:, ALONG] >= zone.ego[0]) / trace.physics_hz
-    its = last_stretch(trace.way_of(npc) >= zone.npc[0]) / trace.physics_hz
-    holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
+    ego_is_past = trace.track_of(0)[:, ALONG] >= zone.ego[0]
+    npc_is_past = trace.way_of(npc) >= zone.npc[0]
+    own = last_stretch(ego_is_past) / trace.physics_hz
+    its = last_stretch(npc_is_past) / trace.physics_hz
+    holders = {"none": "neither", "ego": "the ego", "npc": whom}
+    holder = capitalised(holders[zone.priority])
     return [
         f"the ego entered the {where} at {own:.1f} s, and {whom} entered it {zone.whence} at {its:.1f} s. "
         f"{holder} had priority."
@@ -292,7 +295,8 @@ def _deed(
             when = f"from {(since + first) / hz:.1f} s on"
         if first and not told:
             told.append(("", _kept(part[0])))
-        hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
+        steps = np.diff(part[begin : end + 1])
+        hardest = -float(steps.min()) * hz
         how = "sped up"
         rate = ""
         if change < 0 and hardest >= BRAKES:
@@ -307,9 +311,11 @@ def _deed(
         if not told:
             how = f"{how} from {part[begin]:.1f}"
         told.append((when, f"{how} to {part[end]:.1f} m/s{rate}"))
-    texts = [f"{how} {when}".rstrip() for when, how in told[-PHASES:][:1]]
-    # The time stands after the first phase that is shown, and before the others.
-    texts += [f"{when} {how}".lstrip() for when, how in told[-PHASES:][1:]]
+    texts = [f"{when} {how}".lstrip() for when, how in told[-PHASES:]]
+    if told:
+        # The time stands after the first phase that is shown, and before the others.
+        when, how = told[-PHASES:][0]
+        texts[0] = f"{how} {when}".rstrip()
     if speeds[-1] < -SAME:
         return listed([*texts, f"drove backwards at {-speeds[-1]:.1f} m/s"])
     then = ""

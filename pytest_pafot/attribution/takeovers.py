@@ -69,7 +69,8 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     """Return the run in which the careful driver takes over, or None if it starts differently from the recorded run."""
     tick = _tick(trace, seconds)
     # The run must not end before it is known that the driver touches no vehicle.
-    taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
+    duration = (_until(trace) + LEEWAY) / trace.physics_hz
+    taken = take_over.lasting(duration)(trace, tick)
     repeated = taken.states[: tick + 1]
     recorded = trace.states[: tick + 1]
     if repeated.shape != recorded.shape:
