@@ -3,7 +3,7 @@
 import numpy as np
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
-from pytest_pafot.attribution.mistakes import manoeuvre_before
+from pytest_pafot.attribution.responsibility import manoeuvre_before
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.oracle.run import Run

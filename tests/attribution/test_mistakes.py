@@ -3,8 +3,14 @@
 from itertools import chain
 from typing import get_args
 
-from pytest_pafot.attribution.mistakes import BY_FAULT, mistake
-from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, rss_rule
+from pytest_pafot.attribution.responsibility import (
+    BY_FAULT,
+    NEXT_TO,
+    Attribution,
+    Fault,
+    mistake,
+    rss_rule,
+)
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.situations import LEFT, OWN, SITUATIONS
 from tests.helpers.tables import table

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
+from pytest_pafot.attribution.responsibility import attribute_collision, decide_contested
 from pytest_pafot.attribution.takeovers import drive, latest, sentence
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario

@@ -35,7 +35,7 @@ IN_ONE_LANE = {
 }
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
-    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
+    "Encounters", "Passage", "RoadFrame", "RssRules", "hardest_brake",
     "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration",
     "time_advantage",
 }  # fmt: skip
@@ -158,18 +158,26 @@ def test_npc_leaving_the_ego_way_has_no_drift():
 
 def test_npc_off_the_way_is_in_no_cell():
     trace = mixed()
-    positions = Encounters(trace)
-    assert {positions.cell(0, tick) for tick in range(trace.ticks + 1)} == {None}
-    assert positions.last_cell(0, trace.ticks) is None
-    assert positions.cell(1, MERGED - 1) is None
-    assert positions.cell(1, MERGED) == positions.last_cell(1, trace.ticks) == Cell.FRONT
+    positions = trace.road
+    assert {positions.cell(0, tick, trace.sizes[0, 0]) for tick in range(trace.ticks + 1)} == {None}
+    assert positions.last_cell(0, trace.ticks, trace.sizes[0, 0]) is None
+    assert positions.cell(1, MERGED - 1, trace.sizes[0, 0]) is None
+    assert (
+        positions.cell(1, MERGED, trace.sizes[0, 0])
+        == positions.last_cell(1, trace.ticks, trace.sizes[0, 0])
+        == Cell.FRONT
+    )
 
 
 def test_npc_merging_into_ego_cell_had_no_cell():
     trace = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
-    positions = Encounters(trace)
+    positions = trace.road
     assert abs(positions.ahead[0, -1]) < 2.5
-    assert positions.cell(0, trace.ticks) is positions.last_cell(0, trace.ticks) is None
+    assert (
+        positions.cell(0, trace.ticks, trace.sizes[0, 0])
+        is positions.last_cell(0, trace.ticks, trace.sizes[0, 0])
+        is None
+    )
 
 
 def test_leader_is_always_on_the_ego_way():

@@ -273,9 +273,7 @@ class TestRss:
 
 
 def test_a_run_has_a_duration_and_a_planned_one():
-    assert criticality.execution_time(
-        trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))
-    ) == pytest.approx(3)
+    assert trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45)).duration == pytest.approx(3)
     assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
 
 

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.crossings import APART, LENGTH, STEP
 from pytest_pafot.model.instructions import (
-    SLOTS,
     Cell,
     CrossingInstruction,
     LaneInstruction,
@@ -96,15 +95,6 @@ class TestInstructions:
             == "o1>o3 2 s before the ego enters, holds at the line"
         )
         assert crosses(slot=0, act="stop").goal == "o1>o3 together with the ego, stops there"
-
-    @table(
-        ("slot", "name"),
-        [(-5, "well before"), (-1, "well before"), (-0.9, "just before"), (-0.1, "just before"), (0, "together"),
-         (0.1, "just after"), (0.9, "just after"), (1.0, "well after"), (5, "well after")],
-    )  # fmt: skip
-    def test_each_slot_is_one_of_five(self, slot, name):
-        assert crosses(slot=slot).interval == name
-        assert name in SLOTS
 
 
 class TestScenarios:

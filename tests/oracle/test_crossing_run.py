@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.criticality import Encounters
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run, crossing_text
+from pytest_pafot.oracle.run import Run
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
@@ -52,9 +51,9 @@ def test_merged_npc_has_a_cell_after_its_zone():
         (80, "from the right in the zone o2>o4"),
         (82, "in cell 2 (front)"),
     ):
-        cell = Encounters(run.trace).cell(0, tick)
+        cell = run.trace.road.cell(0, tick, run.trace.sizes[0, 0])
         assert run.place_of(replace(run.closest_approach, tick=tick, cell=cell)) == place
-    assert Encounters(run.trace).cell(0, 80) == Cell.FRONT
+    assert run.trace.road.cell(0, 80, run.trace.sizes[0, 0]) == Cell.FRONT
 
 
 def test_collision_place_without_record_is_left_out():
@@ -119,8 +118,8 @@ def test_instruction_words_have_slot_and_act(act):
         "late": "5 s after the ego leaves, starts late",
     }
     slot = {"pass": 0.5, "hold": -1.0, "stop": 0.0, "late": 5.0}[act]
-    zone = None if act == "late" else ZONES[CROSSES]
-    assert crossing_text(CrossingInstruction(CROSSES, slot, 8.6, act), zone) == words[act]
+    whence = "" if act == "late" else ZONES[CROSSES].whence
+    assert CrossingInstruction(CROSSES, slot, 8.6, act).words_from(whence) == words[act]
 
 
 def test_a_run_has_the_passages_of_its_zones():

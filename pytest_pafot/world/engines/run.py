@@ -11,7 +11,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pytest_pafot.criticality.measures import RelativePositions
 from pytest_pafot.model.instructions import Cell, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
@@ -24,6 +23,7 @@ from pytest_pafot.model.trace import (
     FloatArray,
     Outcome,
     Trace,
+    road_of_run,
     vehicle_name,
 )
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
@@ -496,15 +496,10 @@ class VehiclesOfRun:
 
     def _cell(self, npc: int, states: FloatArray, track: FloatArray | None) -> Cell | None:
         """Return the cell of an NPC at the impact, or None for an NPC that was not on the ego's path."""
-        positions = RelativePositions(
-            states,
-            np.array(self.sizes),
-            self.rules.road.lanes,
-            track,
-        )
-        if not positions.is_on_way[npc, -1]:
+        road = road_of_run(states, self.rules.road.lanes, track)
+        if not road.is_on_way[npc, -1]:
             return None
-        cell = positions.last_cell(npc, self.loop.tick)
+        cell = road.last_cell(npc, self.loop.tick, self.sizes[0][0])
         crossings = self.scenario.crossings[: npc + 1]
         if cell is not None or (crossings and crossings[-1] is not None):
             return cell
